@@ -18,7 +18,7 @@ from rcp_can.drive import Drive, Profile, Protection, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_can.node_change import node_procedure
 from rcp_can.procedure import Procedure
-from rcp_can.profiles.vesc_detection import ALIVE, PRINT, REBOOT, detection_procedure
+from rcp_can.profiles.vesc_detection import ALIVE, PRINT, REBOOT, detection_procedure, put_back
 from rcp_can.profiles.vesc_packets import PING, PONG, SHORT, Assembler, frames
 from rcp_can.profiles.vesc_settings import VescSettings, change_node, read_version
 from rcp_can.settings_procedures import settings_procedures
@@ -107,6 +107,7 @@ class VescDrive(Drive):
         self._detecting = self._ending = False
         """Whether it detects its motor, as far as is known; whether it is to end that."""
         self._rebooted = self._asked = -math.inf
+        self.application: bytes | None = None
         self._lock = bus.shared(_OneAtATime, _OneAtATime).lock
         self.protection = Protection(
             "the application timeout, 1 s unless configured otherwise in VESC Tool: it "
@@ -134,7 +135,10 @@ class VescDrive(Drive):
         )
 
     async def configure(self) -> None:
-        """Ask what it is; some firmware does not tell."""
+        """Ask what it is, which some firmware does not tell; undo what a detection left that was stopped."""
+        if self._detecting:
+            await self.settled()
+        await put_back(self)
         with suppress(DeviceTimeout, DeviceRejected):
             self.identity = await read_version(self)
 

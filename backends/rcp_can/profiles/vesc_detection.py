@@ -32,6 +32,7 @@ __all__ = [
     "DetectMotor",
     "MotorDetected",
     "detection_procedure",
+    "put_back",
 ]
 
 GET_MOTOR, TERMINAL, PRINT, REBOOT, DETECT = 14, 20, 21, 29, 58
@@ -94,6 +95,8 @@ class _Drive(Protocol):
 
     node: int
     pole_pairs: int
+    application: bytes | None
+    """The application's configuration as it is to be, as long as it may be another."""
 
     async def ask(
         self,
@@ -119,13 +122,14 @@ def detection_procedure(drive: _Drive) -> Sequence[Procedure]:
         await VescSettings(drive).prepare()
         application = (await drive.ask(bytes((GET_APP,))))[1:]
         request = await _request(drive, wanted.power_loss)
-        sensors = _outcome(await drive.detect(request, _LONGEST))
+        drive.application = application
+        answer = await drive.detect(request, _LONGEST)
         try:
-            await _put_back(drive, application)
+            await put_back(drive)
+            sensors = _outcome(answer)
             measured = await _measured(drive)
         except RcpError as error:  # what moved is no refusal
             error.status = "failed" if error.status == "rejected" else error.status
-            error.remedy = "The motor has been detected and that is stored. " + error.remedy
             raise
         return MotorDetected(sensors=sensors, duration=time.monotonic() - began, **measured)
 
@@ -181,16 +185,21 @@ def _outcome(answer: bytes) -> Literal["sensorless", "hall", "encoder"]:
     return _SENSORS[result]
 
 
-async def _put_back(drive: _Drive, application: bytes) -> None:
+async def put_back(drive: _Drive) -> None:
     """Restore the application's configuration: a detection changes which status messages are sent.
 
     :raises DeviceRejected: the drive keeps another one.
     """
+    application = drive.application
+    if application is None:
+        return
     if (await drive.ask(bytes((GET_APP,))))[1:] == application:
+        drive.application = None
         return
     await drive.ask(bytes((SET_APP,)) + application, seconds=_STORES, once=True)
     if (await drive.ask(bytes((GET_APP,))))[1:] != application:
         raise DeviceRejected("the drive does not take its status messages back")
+    drive.application = None
 
 
 async def _measured(drive: _Drive) -> dict[str, float]:

@@ -64,6 +64,7 @@ async def test_a_detection_that_fails_tells_why_and_leaves_the_drive_as_it_was(
         with pytest.raises(DeviceRejected, match=words):
             await rig.ran("action/m/detect_motor", BODY)
         assert (bytes(rig.twin.motor.data), rig.twin.stores) == (before, 0)
+        assert rig.axis.drive.application is None  # so that nothing writes it later
         rig.twin.fails = 0
         assert (await rig.ran("action/m/detect_motor", BODY))["sensors"] == "hall"
 
@@ -99,7 +100,7 @@ async def test_an_ended_detection_is_at_rest_and_stays_there(
     async with motor("vesc", commissioning=True) as rig:
         twin = rig.twin
         twin.plant.friction = 0.02
-        before = bytes(twin.motor.data)
+        before, rest = bytes(twin.motor.data), twin.rest
         twin.detects = 2.0 if end == "unheard" else 1.0 if end == "timeout" else 5.0
         running = asyncio.ensure_future(rig.execute("action/m/detect_motor", BODY))
         if end == "at once":
@@ -133,6 +134,7 @@ async def test_an_ended_detection_is_at_rest_and_stays_there(
         assert abs(twin.plant.velocity) < 0.1
         if end != "unheard":  # then it came to its end, and stored that
             assert (bytes(twin.motor.data), twin.stores) == (before, 0)
+        await rig.until(lambda: twin.rest == rest)  # the status messages, too
         place = twin.plant.position
         await rig.host.published_as("sensor/m/state", state="disabled")
         assert twin.plant.position == pytest.approx(place, abs=0.05)
