@@ -160,11 +160,14 @@ async def test_zones_hold_while_the_disk_is_full_and_the_state_says_so(
         assert (listed(state), state["errors"]) == ([("s1", "ENABLED")], [])
 
 
-async def test_sets_of_another_map_wait_for_it(tmp_path: Path) -> None:
+async def test_sets_wait_for_their_map_and_for_the_version_that_has_zones(tmp_path: Path) -> None:
     more = SIZE + table("store", path=tmp_path / "store.db")
     async with depot(tmp_path, version="3.0", more=more) as it:
         await keep(it.master, "s1", WALL)
     async with depot(tmp_path, version="3.0", more=more, map="roof") as it:
         assert it.master.last("r1")["zoneSets"] == []
+    async with depot(tmp_path, version="2.1", more=more) as it:
+        await send_order(it, 0.0, 9.0)
+        await it.master.until("r1", lambda s: s["driving"])
     async with depot(tmp_path, version="3.0", more=more) as it:
         assert listed(it.master.last("r1")) == [("s1", "ENABLED")]
