@@ -26,9 +26,12 @@ class PluginStore:
         """Store a value that MessagePack can encode; None deletes the key. Returns at once."""
         self._store.put(self._table, key, value)
 
-    def load(self) -> dict[str, Any]:
-        """Return the values of earlier runs. Blocks: use it only at the start."""
-        return self._store.load(self._table)
+    def load(self, *, unreadable: Any = None) -> dict[str, Any]:
+        """Return the values of earlier runs. Blocks: use it only at the start.
+
+        An unreadable value is replaced by `unreadable`; with None it is omitted.
+        """
+        return self._store.load(self._table, unreadable=unreadable)
 
     def settled(self, callback: Callable[[], object]) -> None:
         """Call back on the event loop once everything put so far is committed; at once without a store."""

@@ -92,7 +92,7 @@ class Axis(AxisState):
         was."""
         self.first = asyncio.Event()
         """Set once the drive has sent its first message and is configured."""
-        bus.listen(self._take, *drive.routes())
+        bus.listen(self._take, *drive.routes(), whose=self.name)
         bus.after_batch(self._batch)
         bus.on_state.append(self._bus_turned)
 

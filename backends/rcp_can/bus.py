@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Generator, Hashable, Iterable, Sequence
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, cast
+from collections.abc import Callable, Hashable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import anyio
 
@@ -16,6 +15,7 @@ from rcp_can.config import BusConfig
 from rcp_can.health import Health
 from rcp_can.interface import open_interface
 from rcp_can.load import seconds_on_the_bus
+from rcp_can.routing import Listener, Route, RoutingTable
 from rcp_can.wire import Wire
 from rcp_kernel.clock import Lateness
 from rcp_kernel.errors import AdapterUnavailable, QueueFull
@@ -30,25 +30,8 @@ _T = TypeVar("_T")
 
 _LONGEST = 5.0  # s between two attempts to restart
 _WELL = 10.0  # s of operation after which the restart delay begins anew
-_ROUTES = 4096  # identifiers whose listeners are cached
 _QUEUED = 50.0  # s a frame may wait to be read; some adapters' clocks begin again each minute
 _ECHOING = frozenset(("udp_multicast",))  # interfaces that deliver our own frames to us
-
-
-class Route(NamedTuple):
-    """A set of identifiers: those with `id & mask == value`."""
-
-    value: int
-    mask: int = 0x7FF
-    extended: bool = False
-
-
-class Listener(Protocol):
-    """A receiver of frames."""
-
-    def __call__(self, message: can.Message) -> None:
-        """Handle one frame, on the event loop."""
-        ...
 
 
 class Bus:
@@ -69,8 +52,9 @@ class Bus:
         """The open interface, while there is one."""
         self._lost = asyncio.Event()
         self._reason = ""
-        self._routes: list[tuple[Route, Listener]] = []
-        self._known: dict[int, tuple[Listener, ...]] = {}
+        self.routing = RoutingTable()
+        """Who takes its frames."""
+        self.listen, self.overheard = self.routing.listen, self.routing.overheard
         self._lateness = Lateness(_QUEUED)
         self._after_batch: list[Callable[[], None]] = []
         self._busy = 0.0
@@ -85,24 +69,6 @@ class Bus:
         if kind not in self._shared:
             self._shared[kind] = make(self)
         return cast("_T", self._shared[kind])
-
-    def listen(self, listener: Listener, *routes: Route) -> None:
-        """Call `listener` with every frame that matches one of the routes."""
-        self._routes += [(route, listener) for route in routes]
-        self._known.clear()
-
-    @contextmanager
-    def overheard(self, listener: Listener, routes: Sequence[Route]) -> Generator[None]:
-        """Call `listener` too with the frames of some routes, while entered."""
-        more = [(route, listener) for route in routes]
-        self._routes += more
-        self._known.clear()
-        try:
-            yield
-        finally:
-            for each in more:
-                self._routes.remove(each)
-            self._known.clear()
 
     def received_at(self, message: can.Message) -> float:
         """Return the monotonic time when the interface received a frame, by its stamp if any.
@@ -296,7 +262,7 @@ class Bus:
     # Receiving
 
     def _take(self, batch: list[can.Message]) -> None:
-        known, taps = self._known, self.taps
+        listeners_of, taps = self.routing.listeners, self.taps
         for message in batch:
             self._busy += self.duration(message)
             for tap in taps:
@@ -304,34 +270,13 @@ class Bus:
             if message.is_error_frame:
                 self._error(message)
                 continue
-            key = message.arbitration_id | (message.is_extended_id << 31)
-            listeners = known.get(key)
-            if listeners is None:
-                listeners = self._find(message.arbitration_id, key)
-            for listener in listeners:
+            for listener in listeners_of(message):
                 try:
                     listener(message)
                 except ValueError:
                     self.malformed += 1
         for function in self._after_batch:
             function()
-
-    def takes(self, identifier: int, *, extended: bool) -> bool:
-        """Return whether anything listens to an identifier."""
-        key = identifier | (extended << 31)
-        return bool(self._known.get(key) or self._find(identifier, key))
-
-    def _find(self, identifier: int, key: int) -> tuple[Listener, ...]:
-        extended = key >> 31
-        found: dict[Hashable, Listener] = {
-            id(listener): listener
-            for route, listener in self._routes
-            if route.extended == extended and identifier & route.mask == route.value
-        }
-        if len(self._known) >= _ROUTES:
-            self._known.clear()
-        self._known[key] = tuple(found.values())
-        return self._known[key]
 
     def _error(self, message: can.Message) -> None:
         self.error_frames += 1

@@ -51,7 +51,7 @@ class DevicePart(Part):
         for path, message in self._sensors.items():
             mask = 0x1FFFFFFF if message.is_extended_frame else 0x7FF
             route = Route(message.frame_id, mask, message.is_extended_frame)
-            bus.listen(self._listener(path, message), route)
+            bus.listen(self._listener(path, message), route, whose=name)
 
     def _load(self) -> dict[str, Message]:
         try:

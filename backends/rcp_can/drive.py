@@ -123,6 +123,12 @@ class Drive(ABC):
         """Whether it runs a procedure of its own, which may move it at any moment."""
         return False
 
+    async def settled(self) -> None:  # noqa: B027 - most drives leave a procedure while they answer
+        """Wait until a procedure of its own that was stopped has ended, if the drive is silent meanwhile.
+
+        :raises DeviceTimeout: it does not end.
+        """
+
     def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
         """List what sets up this make of drive.
 

@@ -55,8 +55,8 @@ class NodeWatch:
         self._state: State = "unknown"
         self._emergencies: dict[int, str] = {}
         self._missing: asyncio.TimerHandle | None = None
-        bus.listen(self._on_heartbeat, Route(_HEARTBEAT + config.node))
-        bus.listen(self._on_emergency, Route(_EMERGENCY + config.node))
+        bus.listen(self._on_heartbeat, Route(_HEARTBEAT + config.node), whose=name)
+        bus.listen(self._on_emergency, Route(_EMERGENCY + config.node), whose=name)
 
     @property
     def value(self) -> NodeState:

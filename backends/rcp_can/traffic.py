@@ -34,6 +34,8 @@ class Talker(Struct, frozen=True, kw_only=True):
     """Sent by the gateway, not received."""
     known: bool
     """Whether a motor, device or node of the configuration takes it, or the gateway sent it."""
+    takers: list[str] = []
+    """Those of the configuration that take it, by name."""
     rate: Hertz
     frames: Count
     load: Load | None
@@ -141,7 +143,8 @@ class _Counter:
                 id=identifier,
                 extended=extended,
                 sent=sent,
-                known=sent or self._bus.takes(identifier, extended=extended),
+                known=sent or self._bus.routing.takes(identifier, extended=extended),
+                takers=[] if sent else self._bus.routing.takers(identifier, extended=extended),
                 rate=frames / period,
                 frames=frames,
                 load=busy / period if metered else None,

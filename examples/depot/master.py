@@ -155,8 +155,15 @@ async def work(robot: Robot, depot: Depot, orders: int, choice: random.Random) -
         for place in range(1, len(way)):
             ahead = {_name(node) for node in way[place:]}
             state = await robot.until(
-                lambda state, ahead=ahead: bool(state["errors"]) or state["lastNodeId"] in ahead
+                lambda state, name=name, ahead=ahead: (
+                    bool(state["errors"])
+                    or state["orderId"] != name
+                    or state["lastNodeId"] in ahead
+                )
             )
+            if state["orderId"] != name:  # and nobody knows where it stands between two nodes
+                text = "it has lost its order: its gateway was restarted. Look where it stands, then begin anew."
+                raise SystemExit(f"{robot.serial}: {text}")
             if state["errors"]:
                 raise SystemExit(f"{robot.serial}: {state['errors'][0]['errorDescription']}")
             await depot.free([way[place - 1]])

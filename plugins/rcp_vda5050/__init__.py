@@ -25,4 +25,4 @@ async def _open(config: VdaConfig, client_api: ClientApi) -> AsyncGenerator[dict
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Provide robots for fleet managers."""
-    return [AdapterKind("vda5050", VdaConfig, _open, __doc__ or "", needs=("paho",))]
+    return [AdapterKind("vda5050", VdaConfig, _open, __doc__ or "", needs=("paho", "httpx"))]

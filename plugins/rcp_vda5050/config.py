@@ -14,6 +14,7 @@ __all__ = ["ActionConfig", "FactsheetConfig", "RobotConfig", "VdaConfig"]
 
 _BROKER = re.compile(r"mqtts?://[^/@]+\Z")
 _SEGMENT = r"^[^/#+$\s]+$"
+_ORIGIN = r"^https?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?$"
 _NAMED = re.compile(r"[A-Za-z0-9_.:-]+\Z")
 
 
@@ -72,6 +73,8 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Distance from the first node of an order within which the robot may begin it."""
     tolerance: Annotated[float, Meta(gt=0, le=10, extra_json_schema={"unit": "m"})] | None = None
     """Distance from a node that counts as reached, where an order names none; default: the robot's own."""
+    downloads: tuple[Annotated[str, Meta(pattern=_ORIGIN)], ...] = ()
+    """Servers from which zone sets may be downloaded: `https://maps.example`; 3.0."""
     factsheet: FactsheetConfig = FactsheetConfig()
     actions: dict[str, ActionConfig] = {}
     """By `actionType`: `pick`, `drop`, `startCharging`."""
@@ -79,6 +82,8 @@ class RobotConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def __post_init__(self) -> None:
         if not _NAMED.match(self.serial):
             raise ValueError(f"`serial`: {self.serial!r} has more than letters, digits and _.:-")
+        if self.downloads and self.version != "3.0":
+            raise ValueError("`downloads`: zone sets need `version` 3.0")
 
     @property
     def radius(self) -> float:
@@ -105,7 +110,8 @@ class VdaConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     username: str | None = None
     password: str | None = None
     ca: str | None = None
-    """File with the certificates that the broker's may be signed with; default: the system's."""
+    """File with the certificates that the broker's may be signed with; default: the system's. Those of
+    `downloads` may be signed with either."""
     certificate: str | None = None
     """File with a client certificate and its key."""
     interface: Annotated[str, Meta(pattern=_SEGMENT)] = "uagv"

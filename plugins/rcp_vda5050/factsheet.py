@@ -19,6 +19,9 @@ _OWN_NEWER: Mapping[str, tuple[str, ...]] = {
     **_OWN, "enableZoneSet": ("zoneSetId",), "deleteZoneSet": ("zoneSetId",), "clearInstantActions": (),
     "clearZoneActions": (), "cancelOrder": ("orderId",),
 }  # fmt: skip
+_AT_NODES = "enableMap", "enableZoneSet"
+"""Those that are actions of nodes too: behind a lift another map or zone set holds."""
+_OPTIONAL_KEYS = "orderId", "zoneSetHash"
 _OPTIONAL = ("order.nodes.nodePosition.theta", "order.nodes.nodePosition.allowedDeviationXY")
 _INTERVAL = 0.1  # s between two states
 
@@ -59,6 +62,8 @@ _KINEMATICS = {"DIFF": "DIFFERENTIAL", "OMNI": "OMNIDIRECTIONAL", "THREEWHEEL": 
 def own_actions(config: RobotConfig) -> Mapping[str, tuple[str, ...]]:
     """Return the instant actions that every robot does, with the keys of their parameters."""
     own = _OWN_NEWER if config.version == "3.0" else _OWN
+    if config.downloads and "downloadZoneSet" not in config.actions:
+        own = {**own, "downloadZoneSet": ("zoneSetId", "zoneSetDownloadLink", "zoneSetHash")}
     if "enableMap" in config.actions:  # the robot has maps of its own
         return {name: keys for name, keys in own.items() if name != "enableMap"}
     return own
@@ -106,7 +111,7 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
             ],
             words.actions: [
                 *(
-                    _offered(name, "", ("INSTANT",), keys, own=True, newer=newer)
+                    _offered(name, "", _scopes(name), keys, own=True, newer=newer)
                     for name, keys in own_actions(config).items()
                 ),
                 *(
@@ -118,6 +123,10 @@ def factsheet(config: RobotConfig) -> dict[str, Any]:
         words.geometry: {},
         "loadSpecification": {},
     }
+
+
+def _scopes(name: str) -> tuple[str, ...]:
+    return ("INSTANT", "NODE") if name in _AT_NODES else ("INSTANT",)
 
 
 def _offered(
@@ -137,7 +146,7 @@ def _offered(
             {
                 "key": key,
                 "valueDataType": "STRING" if own else "OBJECT",
-                "isOptional": not own or key == "orderId",
+                "isOptional": not own or key in _OPTIONAL_KEYS,
             }
             for key in parameters
         ],

@@ -7,12 +7,12 @@ from typing import Literal
 
 from msgspec import Struct
 
-__all__ = ["Fault", "FaultKind", "OrderRefused"]
+__all__ = ["DownloadFailed", "Fault", "FaultKind", "OrderRefused"]
 
 FaultKind = Literal[
     "malformed", "action", "instant_action", "outdated", "other_order", "stitching", "start", "map",
     "no_order", "drive", "work", "unavailable", "route", "cancelled", "same_update", "blocked", "release",
-    "lost", "duplicate_zone_set", "memory", "unsupported",
+    "lost", "duplicate_zone_set", "memory", "unsupported", "zones_lost", "zone_set_lost", "not_stored",
 ]  # fmt: skip
 TYPES: Mapping[str, tuple[str, str]] = {
     "malformed": ("validationError", "VALIDATION_FAILURE"),
@@ -36,11 +36,14 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "duplicate_zone_set": ("zoneError", "DUPLICATE_ZONE_SET"),
     "memory": ("zoneError", "INSUFFICIENT_MEMORY"),
     "unsupported": ("orderError", "UNSUPPORTED_PARAMETER"),
+    "zones_lost": ("zoneError", "ZONES_NOT_KNOWN"),
+    "zone_set_lost": ("zoneError", "ZONE_SET_LOST"),
+    "not_stored": ("zoneError", "ZONE_SET_NOT_STORED"),
 }
 """`errorType` of 2.1 and of 3.0."""
 _LEVELS: Mapping[str, str] = {
     "drive": "CRITICAL", "unavailable": "CRITICAL", "blocked": "CRITICAL", "release": "CRITICAL",
-    "lost": "FATAL", "memory": "URGENT", "unsupported": "CRITICAL",
+    "lost": "FATAL", "memory": "URGENT", "unsupported": "CRITICAL", "zones_lost": "FATAL", "not_stored": "URGENT",
 }  # fmt: skip
 """Levels of 3.0 that are not WARNING."""
 _STOPPING = ("drive", "unavailable", "blocked", "release", "lost")
@@ -78,3 +81,7 @@ class OrderRefused(Exception):
     def __init__(self, fault: Fault) -> None:
         super().__init__(fault.text)
         self.fault = fault
+
+
+class DownloadFailed(Exception):
+    """Nothing was downloaded that may be used."""

@@ -35,9 +35,16 @@ class Leg(NamedTuple):
 class OrderBook:
     """The present order, or the last one."""
 
-    def __init__(self, map_: str, start_range: float, refuses: Refuses, blocks: Blocks) -> None:
+    def __init__(
+        self,
+        map_: str,
+        start_range: float,
+        refuses: Refuses,
+        blocks: Blocks,
+        refuses_at_node: Refuses | None = None,
+    ) -> None:
         self._map, self._start_range, self._refuses = map_, start_range, refuses
-        self._blocks = blocks
+        self._blocks, self._refuses_at_node = blocks, refuses_at_node or refuses
         self.order_id = ""
         self.update_id = 0
         self.last_node = ""
@@ -158,9 +165,10 @@ class OrderBook:
                         order, "unsupported", f"edge {edge.edge_id} has a {name}: the robot plans its own way",
                         f"Leave the {name} out.", ("parameter", f"order.edges.{name}"), ("edgeId", edge.edge_id),
                     )  # fmt: skip
-        for action in order.actions:
-            if (reason := self._refuses(action)) is not None:
-                raise _refused(order, "action", reason, "", ("actionId", action.action_id))
+        for parts, refuses in ((order.nodes, self._refuses_at_node), (order.edges, self._refuses)):
+            for action in (action for part in parts for action in part.actions):
+                if (reason := refuses(action)) is not None:
+                    raise _refused(order, "action", reason, "", ("actionId", action.action_id))
         self._check_way(order)
 
     def _check_way(self, order: Order) -> None:

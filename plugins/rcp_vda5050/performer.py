@@ -7,7 +7,7 @@ run, SINGLE (3.0) while driving, HARD alone.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import structlog
@@ -18,12 +18,16 @@ from rcp_vda5050.link import Link
 from rcp_vda5050.messages import Action
 from rcp_vda5050.zone_messages import ZoneAction
 
-__all__ = ["ENDED", "STOPS_DRIVING", "ActionState", "Performer"]
+__all__ = ["ENDED", "STOPS_DRIVING", "ActionState", "Own", "Performer"]
 
 log = structlog.get_logger("rcp.vda5050")
 ENDED = ("FINISHED", "FAILED")
 STOPS_DRIVING = ("SOFT", "HARD")
 _ALONE = ("SINGLE", "HARD")
+
+
+Own = Mapping[str, Callable[[Action], Awaitable[str | None]]]
+"""Actions of nodes that every robot does, by type; each returns why it cannot."""
 
 
 class ActionState(Struct):
@@ -50,11 +54,13 @@ class Performer:
         self,
         config: RobotConfig,
         link: Link,
+        own: Own,
         resumed: asyncio.Event,
         changed: Callable[[], None],
         failed: Callable[[ActionState, dict[str, Any]], None],
     ) -> None:
         self._config, self._link, self._resumed = config, link, resumed
+        self._own = own
         self._changed, self._failed = changed, failed
         self._running: dict[asyncio.Task[None], ActionState] = {}
 
@@ -109,18 +115,13 @@ class Performer:
 
     async def do(self, state: ActionState) -> None:
         """Do an action; ended when the robot says so, also by a cancel."""
-        what = self._config.actions[state.action.action_type]
         state.status = "RUNNING"
         self._changed()
         try:
-            error = await self._link.control()
+            error = await self._run(state)
             if error is None:
-                path = self._config.path(what.path)
-                reply = await self._link.send("execute", path, _body(what, state.action)).result()
-                if reply["status"] == "completed":
-                    state.status, state.result = "FINISHED", _words(reply.get("body"))
-                    return
-                error = reply["error"]
+                state.status = "FINISHED"
+                return
             state.result = error["message"]
             self._failed(state, error)
         except asyncio.CancelledError:
@@ -131,6 +132,28 @@ class Performer:
             if state.status == "RUNNING":
                 state.status = "FAILED"
             self._changed()
+
+    async def _run(self, state: ActionState) -> dict[str, Any] | None:
+        """Run an action to its end; return why it failed."""
+        kind = state.action.action_type
+        what = self._config.actions.get(kind)
+        if what is None:
+            reason = await self._own[kind](state.action)
+            return None if reason is None else {"code": "failed", "message": reason}
+        error = await self._link.control()
+        if error is None:
+            path = self._config.path(what.path)
+            reply = await self._link.send("execute", path, _body(what, state.action)).result()
+            if reply["status"] == "completed":
+                state.result = _words(reply.get("body"))
+                return None
+            error = reply["error"]
+        return error
+
+    def why_not_at_node(self, action: Action) -> str | None:
+        """Tell why an action of a node cannot be done; None: it can."""
+        own = action.action_type in self._own and action.action_type not in self._config.actions
+        return None if own else self.why_not(action)
 
     def why_not(self, action: Action | ZoneAction) -> str | None:
         """Tell why an action cannot be done; None: it can."""

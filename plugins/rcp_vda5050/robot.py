@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import msgspec
 import structlog
 
+from rcp_kernel.api import PluginStore
 from rcp_kernel.client_api import ClientApi
 from rcp_vda5050.config import RobotConfig
 from rcp_vda5050.factsheet import factsheet, own_actions
 from rcp_vda5050.faults import Fault
 from rcp_vda5050.link import Link, NotStoppedError
 from rcp_vda5050.messages import Action, Addressed, InstantActions, Order
-from rcp_vda5050.performer import ENDED, ActionState
+from rcp_vda5050.performer import ENDED, ActionState, Own
 from rcp_vda5050.states import Headers, Senses, connection, state, visualization
 from rcp_vda5050.work import Work
-from rcp_vda5050.zone_intake import ZoneIntake
+from rcp_vda5050.zone_intake import Fetch, ZoneIntake
 from rcp_vda5050.zone_messages import Responses, ZoneSetMessage
+from rcp_vda5050.zone_store import ZoneStore
 
 __all__ = ["Robot"]
 
@@ -38,7 +40,13 @@ class Robot:
     """One robot; `publish` sends the body of a topic, or drops it while there is no broker."""
 
     def __init__(
-        self, config: RobotConfig, client_api: ClientApi, rate: float, publish: Publish
+        self,
+        config: RobotConfig,
+        client_api: ClientApi,
+        rate: float,
+        publish: Publish,
+        shelf: PluginStore,
+        fetch: Fetch | None,
     ) -> None:
         self._config, self._publish, self._rate = config, publish, rate
         self._headers = Headers(config)
@@ -50,13 +58,19 @@ class Robot:
             _ESTOP: self._estop,
         }
         self._link = Link(config, client_api, tuple(self._handlers), self._sensed)
-        self.work = Work(config, self._link, self.changed)
-        self._intake = ZoneIntake(config.map, self.work)
+        own: Own = {"enableMap": self._enable_map}
+        if config.version == "3.0":
+            own = {**own, "enableZoneSet": self._enable_zone_set}
+        self.work = Work(config, self._link, own, self.changed)
+        store = ZoneStore(shelf, config, self.changed)
+        self._intake = ZoneIntake(config.map, self.work, store, fetch, self.changed)
         self._due = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
 
-    async def open(self) -> None:
-        """Begin to work."""
+    async def open(self, rows: Mapping[str, Any]) -> None:
+        """Begin to work, with the zones that earlier runs have stored."""
+        if self._config.version == "3.0":  # with another, nobody could end them
+            await self._intake.restore(rows)
         self._link.open()
         for work in (self._say_state(), self._say_where()):
             self._start(work)
@@ -172,7 +186,7 @@ class Robot:
             self.changed()
             return
         mark.status = "RUNNING"
-        reason = None
+        reason: str | Fault | None = None
         match action.action_type:
             case "startPause":
                 self.work.pause()
@@ -183,9 +197,11 @@ class Robot:
             case "factsheetRequest":
                 self._publish("factsheet", factsheet(self._config))
             case "enableMap":
-                reason = self._enable_map(action)
+                reason = await self._enable_map(action)
             case "enableZoneSet":
-                reason = await self._intake.enable(action.parameter("zoneSetId"))
+                reason = await self._enable_zone_set(action)
+            case "downloadZoneSet":
+                reason = await self._intake.download(action)
             case "deleteZoneSet":
                 reason = await self._intake.delete(action.parameter("zoneSetId"))
             case "clearZoneActions":
@@ -197,13 +213,20 @@ class Robot:
             case _:
                 pass
         if reason is not None:
-            mark.status, mark.result = "FAILED", reason
-            self.work.refuse(Fault("instant_action", reason, (("actionId", action.action_id),)))
+            fault = reason
+            if isinstance(fault, str):
+                fault = Fault("instant_action", fault, (("actionId", action.action_id),))
+            mark.status, mark.result = "FAILED", fault.text
+            self.work.refuse(fault)
         if mark.status == "RUNNING":
             mark.status = "FINISHED"
         self.changed()
 
-    def _enable_map(self, action: Action) -> str | None:
+    async def _enable_zone_set(self, action: Action) -> str | None:
+        """Put a zone set in force; return why not."""
+        return await self._intake.enable(action.parameter("zoneSetId"))
+
+    async def _enable_map(self, action: Action) -> str | None:
         """Tell why a map cannot be enabled; the configured one is."""
         asked = (action.parameter("mapId"), action.parameter("mapVersion"))
         there = (self._config.map, self._config.map_version)
@@ -274,7 +297,8 @@ class Robot:
                 log.exception("state_failed", robot=self._config.robot)
 
     def _say(self) -> None:
-        self._publish("state", state(self._config, self._senses, self.work))
+        faults = [*self.work.faults, *self._intake.faults()]
+        self._publish("state", state(self._config, self._senses, self.work, faults))
 
     async def _say_where(self) -> None:
         while True:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import ssl
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from typing import Any
 
@@ -17,10 +17,13 @@ from paho.mqtt.client import Client as Mqtt
 from paho.mqtt.client import MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
+from rcp_kernel.api import PluginStore
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import ConfigError, RcpError
 from rcp_vda5050.config import RobotConfig, VdaConfig
 from rcp_vda5050.robot import Robot
+from rcp_vda5050.zone_intake import Fetch
+from rcp_vda5050.zone_store import load_rows
 
 __all__ = ["open_robots"]
 
@@ -44,13 +47,15 @@ class Client:
         robot: RobotConfig,
         client_api: ClientApi,
         tls: ssl.SSLContext | None,
+        shelf: PluginStore,
+        fetch: Fetch | None,
     ) -> None:
         self._config, self._loop = config, client_api.loop
         major = robot.version[0]
         self._base = f"{config.interface}/v{major}/{robot.manufacturer}/{robot.serial}"
         self._topics = _TOPICS[robot.version]
         self._broken = "CONNECTIONBROKEN" if major == "2" else "CONNECTION_BROKEN"
-        self.robot = Robot(robot, client_api, config.visualization, self._publish)
+        self.robot = Robot(robot, client_api, config.visualization, self._publish, shelf, fetch)
         self.online = False
         self._waiting = 0
         self._mqtt = Mqtt(
@@ -66,9 +71,9 @@ class Client:
         self._mqtt.on_disconnect = lambda _c, _u, _f, why, _p: self._soon(self._lost, str(why))
         self._mqtt.on_message = self._received
 
-    async def open(self) -> None:
-        """Begin to work, and to connect."""
-        await self.robot.open()
+    async def open(self, rows: Mapping[str, Any]) -> None:
+        """Begin to work, with the zones of earlier runs, and then to connect."""
+        await self.robot.open(rows)
         self._renew_will()
         self._mqtt.connect_async(self._config.host, self._config.port, _KEEPALIVE)
         self._mqtt.loop_start()
@@ -155,6 +160,21 @@ def _tls(config: VdaConfig) -> ssl.SSLContext | None:
     return context
 
 
+def _fetches(config: VdaConfig) -> dict[str, Fetch]:
+    """Return what downloads zone sets, of the robots that may."""
+    allowed = {name: one.downloads for name, one in config.robots.items() if one.downloads}
+    if not allowed:
+        return {}
+    from rcp_vda5050.downloads import (
+        Downloads,
+    )  # which needs more memory than is worth it otherwise
+
+    trusted = ssl.create_default_context()
+    if config.ca is not None:
+        trusted.load_verify_locations(config.ca)
+    return {name: Downloads(origins, trusted).fetch for name, origins in allowed.items()}
+
+
 @asynccontextmanager
 async def open_robots(config: VdaConfig, client_api: ClientApi) -> AsyncGenerator[dict[str, Any]]:
     """Have the robots at the broker while entered; it may come and go.
@@ -163,15 +183,18 @@ async def open_robots(config: VdaConfig, client_api: ClientApi) -> AsyncGenerato
     """
     try:
         tls = await asyncio.to_thread(_tls, config)
+        fetches = await asyncio.to_thread(_fetches, config)
     except (OSError, ssl.SSLError) as error:
         raise ConfigError(f"plugins.vda5050: `ca` or `certificate`: {error}") from error
+    shelf = client_api.shelf("zones")
+    rows = await asyncio.to_thread(load_rows, shelf)
     async with AsyncExitStack() as stack:
         for name, one in config.robots.items():
             try:
-                client = Client(config, one, client_api, tls)
+                client = Client(config, one, client_api, tls, shelf, fetches.get(name))
             except RcpError as error:
                 where = f"plugins.vda5050.robots.{name}"
                 raise ConfigError(f"{where}: `token`: {error}") from error
             stack.push_async_callback(client.close)
-            await client.open()
+            await client.open(rows)
         yield {"broker": config.broker}

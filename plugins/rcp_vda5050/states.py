@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
 from msgspec import Struct
 
 from rcp_vda5050.config import RobotConfig
+from rcp_vda5050.faults import Fault
 from rcp_vda5050.orders import Leg
 from rcp_vda5050.performer import ActionState
 from rcp_vda5050.work import Work
@@ -129,7 +130,9 @@ def visualization(config: RobotConfig, senses: Senses) -> dict[str, Any]:
     return _where(config, senses)
 
 
-def state(config: RobotConfig, senses: Senses, work: Work) -> dict[str, Any]:
+def state(
+    config: RobotConfig, senses: Senses, work: Work, faults: Sequence[Fault]
+) -> dict[str, Any]:
     """Return the body of `state`."""
     newer = config.version == "3.0"
     book = work.book
@@ -160,7 +163,7 @@ def state(config: RobotConfig, senses: Senses, work: Work) -> dict[str, Any]:
             _action(each, newer=newer) for each in (states if newer else states + instant)
         ],
         "operatingMode": senses.mode,
-        "errors": [fault.written(config.version) for fault in work.faults],
+        "errors": [fault.written(config.version) for fault in faults],
         "information": [],
         "safetyState": safety,
         "powerSupply" if newer else "batteryState": power,

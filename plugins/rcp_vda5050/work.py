@@ -15,7 +15,7 @@ from rcp_vda5050.faults import Fault, OrderRefused
 from rcp_vda5050.link import Link, NotStoppedError, Running
 from rcp_vda5050.messages import Action, Order
 from rcp_vda5050.orders import Leg, OrderBook
-from rcp_vda5050.performer import ENDED, ActionState, Performer
+from rcp_vda5050.performer import ENDED, ActionState, Own, Performer
 from rcp_vda5050.zone_actions import ZoneActions
 from rcp_vda5050.zone_messages import Zone
 from rcp_vda5050.zones import Zones
@@ -37,15 +37,21 @@ _GO_ON = "Send stopPause to go on, or cancelOrder."
 class Work:
     """The order of one robot, and its actions; `changed` is called with each change."""
 
-    def __init__(self, config: RobotConfig, link: Link, changed: Callable[[], None]) -> None:
+    def __init__(
+        self, config: RobotConfig, link: Link, own: Own, changed: Callable[[], None]
+    ) -> None:
         self._config, self._link, self._changed = config, link, changed
         self._resumed = asyncio.Event()
         self._resumed.set()
-        self.performer = Performer(config, link, self._resumed, changed, self._failed)
+        self.performer = Performer(config, link, own, self._resumed, changed, self._failed)
         self.zones = Zones(config.radius, self, changed)
         self.zone_actions = ZoneActions(self.performer, self._zone_actions_done)
         self.book = OrderBook(
-            config.map, config.start_range, self.performer.why_not, self.zones.blocking
+            config.map,
+            config.start_range,
+            self.performer.why_not,
+            self.zones.blocking,
+            self.performer.why_not_at_node,
         )
         self.states: dict[str, ActionState] = {}
         self.instant: dict[str, ActionState] = {}
@@ -109,6 +115,10 @@ class Work:
 
     def order(self, order: Order, here: tuple[float, float] | None) -> None:
         """Take an order or an update of it."""
+        named = (("orderId", order.order_id), ("orderUpdateId", str(order.order_update_id)))
+        if (fault := self.zones.sets.fault(*named)) is not None:
+            self.refuse(fault)
+            return
         fresh = order.order_id != self.book.order_id
         known = frozenset[str]() if fresh else frozenset(self.states)
         try:
@@ -118,7 +128,6 @@ class Work:
             return
         if actions is None:
             if self._config.version == "3.0":
-                named = (("orderId", order.order_id), ("orderUpdateId", str(order.order_update_id)))
                 self.refuse(Fault("same_update", "this update was accepted already", named))
             return
         self.refusals.clear()

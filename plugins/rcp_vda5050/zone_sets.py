@@ -1,6 +1,6 @@
 """The zone sets that a robot keeps: checked as a whole, then enabled, one at a time.
 
-VDA 5050 3.0 section 6.4.2. They are kept until the gateway ends.
+VDA 5050 3.0 section 6.4.2.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from rcp_geometry import Corner, Polygon
 from rcp_vda5050.faults import Fault, FaultKind
 from rcp_vda5050.zone_messages import Zone, ZoneAction, ZoneSet
 
-__all__ = ["SUPPORTED", "Area", "LoadedSet", "ZoneSetRefused", "ZoneSets", "loaded"]
+__all__ = ["SUPPORTED", "UNKNOWN", "Area", "LoadedSet", "ZoneSetRefused", "ZoneSets", "loaded"]
 
 SUPPORTED = ("BLOCKED", "RELEASE", "SPEED_LIMIT", "ACTION")
 """Types of zones that the gateway can enforce."""
 _KNOWN = (*SUPPORTED, "LINE_GUIDED", "COORDINATED_REPLANNING", "PRIORITY", "PENALTY", "DIRECTED", "BIDIRECTED")  # fmt: skip
+UNKNOWN = "?"
+"""Stands for a set that was enabled if it cannot be read which one that was."""
 _LOSSES = ("STOP", "CONTINUE")
 _MOST_SETS = 20
 _MOST_CORNERS = 10_000  # of all zones of a set
@@ -58,6 +60,10 @@ class ZoneSets:
     def __init__(self) -> None:
         self._sets: dict[str, LoadedSet] = {}
         self.enabled: LoadedSet | None = None
+        self.lost: dict[str, str] = {}
+        """Sets that an earlier run kept and this one cannot use, with the reason."""
+        self.lost_in_force: str | None = None
+        """The one of them that was enabled: nobody knows where the robot may drive."""
 
     def listed(self) -> list[dict[str, str]]:
         """Return `zoneSets` of the state."""
@@ -85,22 +91,52 @@ class ZoneSets:
     def add(self, given: LoadedSet) -> None:
         """Keep a set, not enabled."""
         self._sets[given.id] = given
+        self.lost.pop(given.id, None)
 
     def enable(self, id_: str) -> str | None:
         """Put a set in force instead of the one that is; return why not."""
         if id_ not in self._sets:
             return self._unknown(id_)
-        self.enabled = self._sets[id_]
+        self.enabled, self.lost_in_force = self._sets[id_], None
         return None
 
     def delete(self, id_: str) -> str | None:
         """Forget a set; return why not."""
+        if id_ in self.lost or id_ == self.lost_in_force:
+            self.lost.pop(id_, None)
+            if self.lost_in_force == id_:
+                self.lost_in_force = None
+            if id_ not in self._sets:
+                return None
         if id_ not in self._sets:
             return self._unknown(id_)
         if self.enabled is self._sets[id_]:
             return f"the zone set {id_} is enabled; enable another one first"
         del self._sets[id_]
         return None
+
+    def faults(self) -> list[Fault]:
+        """Return what is wrong with sets of earlier runs."""
+        found = list[Fault]()
+        for id_, why in self.lost.items():
+            text, hint = f"the zone set {id_} is lost: {why}", "Send it again, or delete it with deleteZoneSet."  # fmt: skip
+            if id_ != self.lost_in_force:
+                found.append(Fault("zone_set_lost", text, (("zoneSetId", id_),), hint))
+        if (fault := self.fault()) is not None:
+            found.append(fault)
+        return found
+
+    def fault(self, *references: tuple[str, str]) -> Fault | None:
+        """Return why no order can be accepted: the zones are not known that hold."""
+        if (id_ := self.lost_in_force) is None:
+            return None
+        why = "it is there again, and not enabled"
+        if id_ == UNKNOWN:
+            why = "its row in the store, which named it, is damaged"
+        why = self.lost.get(id_, why)
+        text = f"the zone set {id_} was enabled before the restart, and is lost: {why}"
+        hint = "Send it again and enable it, enable another one, or delete it with deleteZoneSet."
+        return Fault("zones_lost", text, (("zoneSetId", id_), *references), hint)
 
     def _unknown(self, id_: str) -> str:
         there = ", ".join(self._sets) or "none"

@@ -280,7 +280,7 @@ class Zones:
 
     def faults(self) -> list[Fault]:
         """Return the errors that last as long as the robot is where it must not be."""
-        found = list[Fault]()
+        found = self.sets.faults()
         for id_, area in self._inside.items():
             if area.zone.zone_type == "BLOCKED":
                 found.append(

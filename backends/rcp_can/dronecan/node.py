@@ -122,7 +122,8 @@ class DronecanPart(Part):
         self._back = asyncio.Event()
         self._assembler = Assembler((NODE_STATUS, *self._sensors))
         types = (NODE_STATUS, *self._sensors)
-        bus.listen(self._take, *(message_route(each, config.node) for each in types))
+        routes = (message_route(each, config.node) for each in types)
+        bus.listen(self._take, *routes, whose=name)
 
     def start(self, declare: Declares) -> None:
         """Begin to expect its reports."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
@@ -17,10 +18,11 @@ from rcp_can.drive import Drive, Profile, Protection, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_can.node_change import node_procedure
 from rcp_can.procedure import Procedure
-from rcp_can.profiles.vesc_packets import PING, PONG, Assembler, frames
+from rcp_can.profiles.vesc_detection import ALIVE, PRINT, REBOOT, detection_procedure, put_back
+from rcp_can.profiles.vesc_packets import PING, PONG, SHORT, Assembler, frames
 from rcp_can.profiles.vesc_settings import VescSettings, change_node, read_version
 from rcp_can.settings_procedures import settings_procedures
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, RcpError
 from rcp_kernel.spi import check_fence
 
 if TYPE_CHECKING:
@@ -33,6 +35,9 @@ _PERIOD = 0.05  # s: the slowest useful status messages, 20 Hz
 _TIMEOUT = 1.0  # s: default timeout of the VESC application
 _ANSWERS = 0.5  # s
 _PROBED = 0.3  # s for another drive to answer
+_REBOOTS = 5.0  # s within which it has rebooted
+_ASKED = 0.2  # s between two questions whether it has
+_PLACED = 30.0  # s: during a detection it may send no position
 NODES = range(255)
 _STEPS = 6  # tachometer steps per electrical turn
 
@@ -98,6 +103,11 @@ class VescDrive(Drive):
         if node == options.host:
             raise ValueError(f"`host` is the gateway's own id, and node {node} that of the drive")
         self._on = False
+        self.pole_pairs = options.pole_pairs
+        self._detecting = self._ending = False
+        """Whether it detects its motor, as far as is known; whether it is to end that."""
+        self._rebooted = self._asked = -math.inf
+        self.application: bytes | None = None
         self._lock = bus.shared(_OneAtATime, _OneAtATime).lock
         self.protection = Protection(
             "the application timeout, 1 s unless configured otherwise in VESC Tool: it "
@@ -111,8 +121,9 @@ class VescDrive(Drive):
         self._per_erpm = 2 * math.pi / 60 / options.pole_pairs
 
     def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
-        """Offer its limits, and another id."""
+        """Offer its limits, another id, and detection of its motor."""
         return (
+            *detection_procedure(self),
             *settings_procedures(VescSettings(self)),
             node_procedure(
                 self.node,
@@ -124,7 +135,10 @@ class VescDrive(Drive):
         )
 
     async def configure(self) -> None:
-        """Ask what it is; some firmware does not tell."""
+        """Ask what it is, which some firmware does not tell; undo what a detection left that was stopped."""
+        if self._detecting:
+            await self.settled()
+        await put_back(self)
         with suppress(DeviceTimeout, DeviceRejected):
             self.identity = await read_version(self)
 
@@ -176,22 +190,77 @@ class VescDrive(Drive):
         route = Route(PONG << 8 | host, 0x1FFFFFFF, extended=True)
         return await answer_to(self.bus, (route,), ping, pong, seconds=_PROBED) is not None
 
+    @property
+    def busy(self) -> bool:
+        """Whether it detects its motor, or is not known to have ended that."""
+        return self._detecting
+
+    async def detect(self, request: bytes, seconds: float) -> bytes:
+        """Return the answer to a detection; if there is none, the drive is made to reboot.
+
+        :raises DeviceTimeout: it does not answer within `seconds`.
+        """
+        check_fence()
+        self._detecting = self.status.enabled = True
+        try:
+            answer = await self.ask(request, seconds=seconds, once=True)
+        except BaseException:
+            self._ending = True
+            with suppress(RcpError):  # `poll` tries again
+                self._end_detection()
+            raise
+        self._detecting = False
+        return answer
+
+    def _end_detection(self) -> None:
+        """Let it reboot, and ask whether it has: nothing else ends a detection."""
+        now, host = time.monotonic(), self.options.host
+        if now - self._rebooted > _REBOOTS:
+            for identifier, data in frames(bytes((REBOOT,)), to=self.node, sender=host):
+                self.send(identifier, data, extended=True, urgent=True)
+            self._rebooted = self._asked = now
+        elif now - self._asked > _ASKED:
+            self._asked = now
+            for identifier, data in frames(ALIVE, to=self.node, sender=host):
+                self.bus.send(identifier, data, extended=True, lifetime=_FAST, sender=self)
+
+    def _is_alive(self, message: can.Message) -> bool:
+        """Take the answer to that question, which comes if no detection runs."""
+        data = bytes(message.data)
+        if data[:1] != bytes((self.node,)) or data[2:3] != bytes((PRINT,)):
+            return False
+        if self._ending and data[3:].startswith(b"pong"):
+            self._detecting = self._ending = False
+            self._rebooted = -math.inf
+            self.status.resets += 1
+        return True
+
+    async def settled(self) -> None:
+        """Wait until a detection that was stopped has ended."""
+        await self.until(lambda: not self._detecting, "seen to reboot", seconds=2 * _REBOOTS)
+
+    def poll(self, tick: int) -> None:
+        """See to the end of a detection that was stopped."""
+        if self._ending:
+            self._end_detection()
+
     def period(self, signal: str) -> float:
         """Return the period of its status messages."""
-        return _PERIOD
+        return _PLACED if self._detecting and signal == "position" else _PERIOD
 
     def routes(self) -> tuple[Route, ...]:
-        """Return all its identifiers."""
-        return (Route(self.node, 0xFF, extended=True),)
+        """Return all its identifiers, and that of short answers to the gateway."""
+        answers = Route(SHORT << 8 | self.options.host, 0x1FFFFFFF, extended=True)
+        return (Route(self.node, 0xFF, extended=True), answers)
 
     def take(self, message: can.Message) -> bool:
         """Decode one frame."""
         known = self._read.get(message.arbitration_id >> 8)
         if known is None:
-            return False
+            return message.arbitration_id & 0xFF == self.options.host and self._is_alive(message)
         layout, handler = known
         handler(**layout.decode(message.data))
-        self.status.enabled = self._on
+        self.status.enabled = self._on or self._detecting
         self.status.reports += 1
         return True
 
@@ -243,7 +312,11 @@ class VescDrive(Drive):
             self._transmit("current", current=value / self.options.torque_constant)
 
     def stop(self) -> None:
-        """Brake with the configured current."""
+        """Brake with the configured current, or end a detection, which heeds no brake."""
+        if self._detecting:
+            self._ending = True
+            self._end_detection()
+            return
         self._transmit("brake", urgent=True, current=self.options.brake_current)
 
     def stop_frames(self) -> Sequence[StopFrame]:

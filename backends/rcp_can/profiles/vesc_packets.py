@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import binascii
 
-__all__ = ["PING", "PONG", "Assembler", "frames"]
+__all__ = ["PING", "PONG", "SHORT", "Assembler", "frames"]
 
-_FILL, _FILL_LONG, _PROCESS, _SHORT = 5, 6, 7, 8
+_FILL, _FILL_LONG, _PROCESS, SHORT = 5, 6, 7, 8
 PING, PONG = 17, 18
 _ANSWER, _NO_ANSWER = 0, 1
 _AT_ONCE = 6  # bytes of a packet that fits into one frame
@@ -24,7 +24,7 @@ def frames(
     """Return identifiers and data of the frames of a packet; `answers` if it is itself an answer."""
     head = bytes((sender, _NO_ANSWER if answers else _ANSWER))
     if len(payload) <= _AT_ONCE:
-        return [(_SHORT << 8 | to, head + payload)]
+        return [(SHORT << 8 | to, head + payload)]
     found: list[tuple[int, bytes]] = []
     place = 0
     while place < len(payload) and place <= _BEYOND:
@@ -52,7 +52,7 @@ class Assembler:
             self._fill(data[0], data[1:])
         elif command == _FILL_LONG and len(data) >= 2:
             self._fill(int.from_bytes(data[:2], "big"), data[2:])
-        elif command == _SHORT and len(data) > 2:
+        elif command == SHORT and len(data) > 2:
             return data[0], data[2:]
         elif command == _PROCESS and len(data) >= 6:
             payload = bytes(self._buffer[: int.from_bytes(data[2:4], "big")])

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import struct
+import time
 from typing import TYPE_CHECKING, Any
 
 from rcp_can.profiles import vesc_settings as settings
 from rcp_can.profiles.vesc import MESSAGES
+from rcp_can.profiles.vesc_detection import ALIVE, DETECT, GET_MOTOR, PRINT, REBOOT, TERMINAL
 from rcp_can.profiles.vesc_packets import PING, PONG, Assembler, frames
 from rcp_can.sim.plant import Plant
 from rcp_can.sim.twin import Twin
+from rcp_can.sim.vesc_detection import Detection, MotorConfiguration
 
 if TYPE_CHECKING:
     import can
@@ -18,6 +22,8 @@ if TYPE_CHECKING:
 __all__ = ["VescTwin"]
 
 _SILENCE = 1.0  # s without messages after which it releases the motor, VESC Tool's default
+_RATES = 12  # place of the status messages in the application's configuration, after the id
+_AFTER_DETECTION = 0b00001111  # status messages that a detection leaves
 _SET_SIZE = 5 + 40  # bytes of a command that sets limits
 _NAMES = {command: name for name, (command, _) in MESSAGES.items()}
 
@@ -39,14 +45,28 @@ class VescTwin(Twin):
         self.stored = list(self.limits)
         self.stores = 0
         """How often it has stored anything."""
-        self.rest = bytes(range(256)) + bytes(180)
+        self.rest = bytes(range(_RATES)) + b"\x1f\0" + bytes(range(242)) + bytes(180)
         """The application's configuration after the id."""
+        self.motor = MotorConfiguration()
+        self.stored_motor = copy.deepcopy(self.motor)
+        self.detection: Detection | None = None
+        """What runs now."""
+        self.detects = 0.4
+        """How long a detection lasts, s."""
+        self.fails = 0
+        """The result of detections, if they fail."""
+        self.boots = 0.3
+        """How long it is silent while it reboots, s."""
+        self._booting = -math.inf
+        self._asker = 0
         self._packets = Assembler()
 
     def boot(self) -> None:
         """Reboot with what is stored."""
         super().boot()
-        self.limits = list(self.stored)
+        self.limits, self.motor = list(self.stored), copy.deepcopy(self.stored_motor)
+        self.detection, self._packets = None, Assembler()
+        self._booting = time.monotonic()
 
     def _packet(self, frame: int, data: bytes) -> None:
         """Handle a frame of a packet, or a ping."""
@@ -57,9 +77,16 @@ class VescTwin(Twin):
         if packet is None:
             return
         sender, payload = packet
+        if payload[0] in (DETECT, TERMINAL):
+            if self.detection is not None:
+                return  # it discards a second command that takes long
+            self._asker = sender
         if (answer := self._answer(payload)) is not None:
-            for identifier, part in frames(answer, to=sender, sender=self.node, answers=True):
-                self.send(identifier, part, is_extended_id=True)
+            self._tell(sender, answer)
+
+    def _tell(self, to: int, answer: bytes) -> None:
+        for identifier, part in frames(answer, to=to, sender=self.node, answers=True):
+            self.send(identifier, part, is_extended_id=True)
 
     def _answer(self, payload: bytes) -> bytes | None:
         """Return the answer to a command; None to those that it does not know."""
@@ -80,8 +107,39 @@ class VescTwin(Twin):
                 self.node, self.rest = payload[5], payload[6:]
                 self.stores += 1
                 return payload[:1]
+            case command if command == GET_MOTOR:
+                return payload[:1] + bytes(self.motor.data)
             case _:
-                return None
+                return self._do(payload)
+
+    def _do(self, payload: bytes) -> bytes | None:
+        """Do what is not about settings."""
+        if payload[0] == REBOOT:
+            self.boot()
+        elif payload == ALIVE:
+            return bytes((PRINT,)) + b"pong\n"
+        elif Detection.is_one(payload):
+            self.detection = Detection(payload, self.plant, time.monotonic(), self.detects)
+            self.detection.begin(self.motor, self._set_battery)
+        return None
+
+    def _set_battery(self, least: float, most: float) -> None:
+        self.limits[8], self.limits[9] = least, most
+
+    def _detect(self, now: float) -> None:
+        """Go on with a detection; store its result, and tell it."""
+        assert self.detection is not None
+        result = self.detection.advance(now, self.fails)
+        if result is None:
+            return
+        if result >= 0:
+            self.detection.apply(self.motor, self._set_battery)
+            self.stored, self.stored_motor = list(self.limits), copy.deepcopy(self.motor)
+            self.stores += 1
+            rates = bytes((_AFTER_DETECTION,))
+            self.rest = self.rest[:_RATES] + rates + self.rest[_RATES + 1 :]
+        self.detection = None
+        self._tell(self._asker, struct.pack(">Bh", DETECT, result))
 
     def _set_limits(self, payload: bytes) -> None:
         for place, value in enumerate(struct.unpack(">10f", payload[5:])):
@@ -92,14 +150,14 @@ class VescTwin(Twin):
     def take(self, message: can.Message) -> None:
         """Handle a set-point."""
         identifier = message.arbitration_id
-        if not message.is_extended_id or identifier & 0xFF != self.node:
+        if not message.is_extended_id or identifier & 0xFF != self.node or self._boots():
             return
         self._packet(identifier >> 8, bytes(message.data))
         name = _NAMES.get(identifier >> 8, "")
         if name not in ("duty", "current", "brake", "rpm"):
             return
         layout = MESSAGES[name][1]
-        if len(message.data) < layout.size:
+        if len(message.data) < layout.size or self.detection is not None:
             return
         value = next(iter(layout.decode(message.data).values()))
         plant = self.plant
@@ -120,7 +178,11 @@ class VescTwin(Twin):
 
     def tick(self, now: float) -> None:
         """Send its state; release the motor when no set-point arrives."""
-        if self.is_quiet(_SILENCE):
+        if self._boots():
+            return
+        if self.detection is not None:
+            self._detect(now)
+        elif self.is_quiet(_SILENCE):
             self.enabled = False
             self.plant.off()
         plant = self.plant
@@ -128,9 +190,13 @@ class VescTwin(Twin):
             current = plant.torque / self.constant
             self._transmit("status", erpm=plant.velocity / self._per_erpm, current=current)
             turns = plant.position / (2 * math.pi)
-            self._transmit("status_5", tachometer=turns * 6 * self.poles, voltage=24.0)
+            if self.rest[_RATES] & 0x10:
+                self._transmit("status_5", tachometer=turns * 6 * self.poles, voltage=24.0)
         if self.every("status_4", 0.1, now):
             self._transmit("status_4", drive=32.0, motor=plant.temperature)
+
+    def _boots(self) -> bool:
+        return time.monotonic() - self._booting < self.boots
 
     def _transmit(self, name: str, **values: float) -> None:
         command, layout = MESSAGES[name]

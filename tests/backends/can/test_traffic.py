@@ -47,6 +47,7 @@ async def test_frames_are_counted_by_identifier_while_somebody_asks() -> None:
             assert total == 3
             assert seen[0x18FF0001, False].extended
             assert not seen[0x123, False].known
+            assert seen[0x123, False].takers == []
             assert seen[0x77, True].known
             each = seen[0x123, False]
             one = seconds_on_the_bus(
@@ -64,6 +65,7 @@ async def test_the_messages_of_a_motor_are_known_and_come_at_its_rate() -> None:
         by_id = {each.id: each for each in found.talkers if not each.sent}
         heartbeat, encoder = by_id[1 << 5 | 0x01], by_id[1 << 5 | 0x09]
         assert heartbeat.known
+        assert heartbeat.takers == ["m"]
         assert encoder.known
         assert encoder.rate > heartbeat.rate > 0
         assert found.talkers[0].frames >= found.talkers[-1].frames

@@ -48,12 +48,12 @@ class Depot:
         return position["x"], position["y"]
 
 
-def robots(count: int, version: str, port: int) -> str:
+def robots(count: int, version: str, port: int, **more: Any) -> str:
     text = table("plugins.vda5050", broker=f"mqtt://127.0.0.1:{port}", visualization=2.0)
     for n in range(1, count + 1):
         text += table(
             f"plugins.vda5050.robots.r{n}", robot=f"/tenant/r{n}", token=MANAGER,
-            manufacturer="acme", serial=f"r{n}", version=version, map="hall", tolerance=0.1,
+            manufacturer="acme", serial=f"r{n}", version=version, **{"map": "hall", "tolerance": 0.1, **more},
         )  # fmt: skip
         for name, path in (("dock", "action/dock"), ("tidy", "service/clear_faults")):
             text += table(f"plugins.vda5050.robots.r{n}.actions.{name}", path=path)
@@ -62,7 +62,7 @@ def robots(count: int, version: str, port: int) -> str:
 
 @asynccontextmanager
 async def depot(
-    folder: Path, count: int = 1, version: str = "2.1", more: str = ""
+    folder: Path, count: int = 1, version: str = "2.1", more: str = "", **robot: Any
 ) -> AsyncGenerator[Depot]:
     """Run it all."""
     async with broker(folder) as port, cable(port) as wire, master(port, version) as manager:
@@ -74,7 +74,7 @@ async def depot(
             key("manager", MANAGER, role="operator"),
             key("person", PERSON, role="operator"),
             key("admin", ADMIN),
-            robots(count, version, wire.port) + more,
+            robots(count, version, wire.port, **robot) + more,
         )  # fmt: skip
         async with serve(parse(text, "test")) as served:
             for n in range(1, count + 1):

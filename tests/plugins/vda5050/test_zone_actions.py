@@ -57,7 +57,12 @@ async def test_what_lasts_in_a_zone_ends_on_leaving_it() -> None:
     resumed = asyncio.Event()
     resumed.set()
     performer = Performer(
-        CONFIG, cast("Link", Gateway()), resumed, news.set, lambda state, _: failed.append(state)
+        CONFIG,
+        cast("Link", Gateway()),
+        {},
+        resumed,
+        news.set,
+        lambda state, _: failed.append(state),
     )
     actions = ZoneActions(performer, news.set)
 

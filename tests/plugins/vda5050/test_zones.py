@@ -343,3 +343,31 @@ async def test_actions_of_a_zone_run_on_entering_inside_and_on_leaving(tmp_path:
         assert len(await drives(it)) == 2  # it stood still for the first action
         await it.master.instant("r1", "clearZoneActions")
         await it.master.until("r1", lambda s: s["zoneActionStates"] == [])
+
+
+async def test_a_zone_set_is_enabled_at_a_node_and_not_on_an_edge(tmp_path: Path) -> None:
+    def enable(id_: str, set_: str) -> dict[str, Any]:
+        parameters = [{"key": "zoneSetId", "value": set_}]
+        return {
+            "actionType": "enableZoneSet", "actionId": id_, "blockingType": "HARD", "actionParameters": parameters,
+        }  # fmt: skip
+
+    async with zoned(tmp_path) as it:
+        await it.master.send("r1", "zoneSet", **zone_set("s1", box("z", "BLOCKED", 8, 9)))
+        given = order("o1", count=2)
+        given["nodes"][1]["nodePosition"]["x"] = 0.4
+        given["nodes"][1]["actions"] = [enable("a1", "s1"), enable("a2", "gone")]
+        names = ("orderId", "orderUpdateId", "nodes", "edges")
+        wrong = json.loads(json.dumps(given))
+        wrong["edges"][0]["actions"], wrong["nodes"][1]["actions"] = [enable("a1", "s1")], []
+        await it.master.send("r1", "order", **{name: wrong[name] for name in names})
+        await it.master.until("r1", lambda s: "INVALID_ORDER_ACTION" in kinds(s))
+        await it.master.send("r1", "order", **{name: given[name] for name in names})
+        state = await it.master.until("r1", lambda s: "ACTION_FAILURE" in kinds(s))
+        assert listed(state) == [("s1", "ENABLED")]
+        ended = {a["actionId"]: a["actionStatus"] for a in state["actionStates"]}
+        assert ended == {"a1": "FINISHED", "a2": "FAILED"}
+        offered = it.master.last("r1", "factsheet")["protocolFeatures"]["mobileRobotActions"]
+        scopes = {each["actionType"]: each["actionScopes"] for each in offered}
+        assert scopes["enableZoneSet"] == scopes["enableMap"] == ["INSTANT", "NODE"]
+        assert scopes["deleteZoneSet"] == ["INSTANT"]
