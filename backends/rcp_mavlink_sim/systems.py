@@ -63,7 +63,7 @@ class Systems(VehicleState):
 
     def complaints(self) -> list[str]:
         """List what prevents arming, in ArduPilot's words; empty if it may arm."""
-        return complaints(self, self.flight, self.failsafes, self.fence)
+        return complaints(self, self.flight, self.failsafes, self.fence, self.calibrations)
 
     def gimbal(self, device: float) -> Mount | None:
         """Return the mount of a gimbal device id; 0 is the primary one, None if it is not fitted."""

@@ -75,3 +75,6 @@ class Px4Vehicle(Vehicle):
 
     def step_checks(self) -> None:
         """Send no reasons by itself: PX4 tells them when it is asked to arm."""
+
+    def step_sticks(self, seconds: float) -> None:
+        """Leave the motors to commands: it has no transmitter."""
