@@ -121,7 +121,7 @@ class Journeys:
                 with self._explained((lat, lon), altitude), unanswered(report):
                     await self._go(goal, fix, lat, lon, altitude)
             report()  # it moves from here on, so a lost link no longer means a refusal
-            async with self._stopping(RcpError), self._limited(keep_limit):
+            async with self._stopping(RcpError), self.limited(keep_limit):
                 await self._follow(goal, pace, report)
         now = fix_of(vehicle)
         error = away(vehicle, now, lat, lon, altitude)
@@ -166,7 +166,7 @@ class Journeys:
             await self._under_way()
 
     @asynccontextmanager
-    async def _limited(self, keep_limit: Callable[[], Awaitable[None]]) -> AsyncGenerator[None]:
+    async def limited(self, keep_limit: Callable[[], Awaitable[None]]) -> AsyncGenerator[None]:
         """Keep to the speed limit while entered; it may have changed just before."""
         self._under_way = keep_limit
         try:

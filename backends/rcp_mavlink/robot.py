@@ -106,7 +106,7 @@ class Robot:
         )
         self._equipment = Equipment(
             hub, vehicle, self._commands, self.intervals, self.motion, self.parameters,
-            self.setpoints, self.speed_limit, journeys,
+            self.setpoints, self.speed_limit, journeys, self.plans,
         )  # fmt: skip
         self.stop = Stop(
             hub, vehicle, self._commands, self.measurement,

@@ -14,7 +14,8 @@ from rcp_mavlink_sim.wire import mav
 __all__ = ["Fence"]
 
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8
-_LAND, _BRAKE = 2, 4  # bits of FENCE_TYPE
+_LAND, _BRAKE = 2, 4  # FENCE_ACTION
+_UNION = 2  # of FENCE_OPTIONS
 _NAMES = {_CEILING: "Max Alt", _CIRCLE: "Circle", _POLYGON: "Polygon", _FLOOR: "Min Alt"}
 Point = tuple[float, float]
 
@@ -96,7 +97,8 @@ class Fence:
                     return False
             else:
                 inner.append(within)
-        return any(inner) or not inner
+        united = int(self._vehicle.params["FENCE_OPTIONS"]) & _UNION
+        return not inner or (any(inner) if united else all(inner))
 
 
 def _in_polygon(place: Point, corners: list[Point]) -> bool:
