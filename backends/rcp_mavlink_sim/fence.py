@@ -11,7 +11,7 @@ from rcp_mavlink_sim.plans import Plan
 from rcp_mavlink_sim.state import VehicleState
 from rcp_mavlink_sim.wire import mav
 
-__all__ = ["Fence"]
+__all__ = ["Fence", "Point"]
 
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8
 _LAND, _BRAKE = 2, 4  # FENCE_ACTION
@@ -76,6 +76,11 @@ class Fence:
         brake = Mode.BRAKE if action == _BRAKE and vehicle.kind.name == "copter" else None
         self._flight.retreat(return_home=action not in (_LAND, _BRAKE), to=brake)
 
+    @property
+    def united(self) -> bool:
+        """Whether one area to stay in is enough; otherwise it has to be in all."""
+        return bool(int(self._vehicle.params["FENCE_OPTIONS"]) & _UNION)
+
     def _inside(self, place: Point) -> bool:
         items, at = self.plan.items, 0
         inner: list[bool] = []
@@ -97,8 +102,7 @@ class Fence:
                     return False
             else:
                 inner.append(within)
-        united = int(self._vehicle.params["FENCE_OPTIONS"]) & _UNION
-        return not inner or (any(inner) if united else all(inner))
+        return not inner or (any(inner) if self.united else all(inner))
 
 
 def _in_polygon(place: Point, corners: list[Point]) -> bool:
