@@ -14,6 +14,7 @@ from backends.mavlink.test_metadata import schema_of
 from backends.mavlink.test_px4_twin import DEGREE, LAT, LON, Px4Pilot, px4
 from rcp_kernel.testing import eventually
 from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.parameters_table import settable
 from rcp_mavlink_sim.px4.flight import HOLD
 
 CALIBRATE = "/tenant/t/action/calibrate"
@@ -154,6 +155,11 @@ async def test_names_units_and_groups_of_parameters_come_from_the_vehicle() -> N
         with_data = {"path": "/etc/extras/mine.json", "offset": 0, "data": "e30="}
         written = await pilot.do("service/ftp/write", with_data)
         assert error(written) == "device_rejected", "it is part of the firmware"
+
+
+def test_it_starts_with_parameters_of_the_simulation_too() -> None:
+    assert settable("px4") >= {"SIM_GPS1_ENABLE", "GF_ACTION"}
+    assert "FENCE_ENABLE" not in settable("px4")
 
 
 async def _is(truth: object) -> bool:
