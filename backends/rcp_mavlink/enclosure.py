@@ -59,6 +59,11 @@ class Enclosure:
         return None if kept or not within else "it is outside the area of the fence"
 
 
-def ahead(speed: float, seconds: float, braking: float) -> float:
-    """Return how far (m) something still goes that begins to brake after `seconds`, at m/s2."""
-    return math.copysign(abs(speed) * seconds + speed * speed / (2 * braking), speed)
+def ahead(speed: float, fastest: float, seconds: float, change: float) -> float:
+    """Return how far (m) something still goes that brakes after `seconds`, and gains speed until then.
+
+    Both at `change` (m/s2); it gains no more than up to `fastest` (m/s).
+    """
+    now = abs(speed)
+    then = max(now, min(fastest, now + change * seconds))
+    return math.copysign((now + then) / 2 * seconds + then * then / (2 * change), speed)

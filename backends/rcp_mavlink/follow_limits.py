@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from rcp_kernel.errors import DeviceRejected, PreconditionFailed
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.enclosure import Enclosure, ahead
@@ -19,6 +21,7 @@ __all__ = ["FollowLimits", "LimitWatch"]
 _CHANGE_SPEED, _GROUND_SPEED = 178, 1.0
 _UNTIL_IT_BRAKES = 0.75  # s: the position's age, the period of the checks, and the command
 _BRAKING, _VERTICALLY = 2.5, 1.0  # m/s2
+_STANDING = 0.2  # m/s below which it goes nowhere
 _FENCED = "Fly back with action/move_to, and follow something inside the fence: see service/fence/download, param/FENCE_* or param/GF_*."
 
 
@@ -88,9 +91,13 @@ class LimitWatch:
         f = self._vehicle.latest["GLOBAL_POSITION_INT"].fields()
         north, east, down = (f[name] / 100 for name in ("vx", "vy", "vz"))
         speed = (north * north + east * east) ** 0.5
-        seconds = ahead(speed, _UNTIL_IT_BRAKES, _BRAKING) / speed if speed else 0.0
+        fastest = math.inf if self.speed is None else self.speed
+        left = ahead(speed, fastest, _UNTIL_IT_BRAKES, _BRAKING)
+        seconds = left / speed if speed > _STANDING else 0.0
         place = shifted(north * seconds, east * seconds, (fix.lat, fix.lon))
-        height = fix.height - ahead(down, _UNTIL_IT_BRAKES, _VERTICALLY)
+        height = fix.height - (
+            ahead(down, abs(down), _UNTIL_IT_BRAKES, _VERTICALLY) if down else 0.0
+        )
         why = beyond(self._vehicle, self._parameters, place, height)
         if (
             why is None
