@@ -11,6 +11,7 @@ __all__ = ["beyond", "crossing", "has_areas", "is_breached", "is_enabled", "is_u
 _GEOFENCE = 1 << 20  # of SYS_STATUS
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
 _UNION = 2  # of FENCE_OPTIONS
+_KEEPS_FENCES = 1 << 14  # MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
 
 
 def is_enabled(vehicle: Vehicle) -> bool:
@@ -80,6 +81,9 @@ def _beyond_px4(
 
 def has_areas(vehicle: Vehicle, parameters: Parameters) -> bool:
     """Return whether polygons and circles that were uploaded count now."""
+    frame = vehicle.latest.get("AUTOPILOT_VERSION")
+    if frame is not None and not frame.fields()["capabilities"] & _KEEPS_FENCES:
+        return False
     if vehicle.family.px4:
         return _acts(parameters)
     return is_enabled(vehicle) and bool(_kinds(parameters) & _POLYGON)

@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from backends.mavlink.flying import on_the_ground, skip
+from backends.mavlink.flying import on_the_ground, skip, twin
 from backends.mavlink.puppet import Puppet, station
 from backends.mavlink.test_equipment import error, estop
-from backends.mavlink.test_gateway import Pilot, flying
+from backends.mavlink.test_gateway import KIND, Pilot, flying
 from rcp_kernel.testing import eventually
+from rcp_kernel.testing._serve import serve_backend
 from rcp_mavlink_sim import Options, vehicle_of
 from rcp_mavlink_sim.modes import Mode
 
@@ -88,7 +89,7 @@ async def test_they_do_not_while_its_remote_control_is_calibrated(pilot: Pilot) 
 
 async def test_a_vehicle_that_restarts_meanwhile_is_not_calibrated_on(pilot: Pilot) -> None:
     vehicle = pilot.vehicle
-    skip(vehicle, lambda: vehicle.time > 300, 400.0)  # its clock has to be seen to begin again
+    vehicle.time += 600.0  # it has run for long, so its clock is seen to begin again
     id_ = await begun(pilot)
     vehicle.reboot()
     final = await pilot.client.final(id_, 30.0)
@@ -112,6 +113,19 @@ async def test_an_estop_ends_it_and_the_block_too(pilot: Pilot) -> None:
     await estop(pilot)
     assert (await pilot.client.final(id_, 30.0))["status"] != "completed"
     await released(pilot)
+
+
+async def test_a_gateway_that_ends_takes_the_block_back() -> None:
+    async with twin(parameters={"DISARM_DELAY": 0.0}) as running:
+        on_the_ground(running.vehicle, Mode.STABILIZE)
+        table = {"links": [f"udpout:127.0.0.1:{running.ports[0][1]}"]}
+        async with serve_backend(KIND, table) as served:
+            await eventually(lambda: _is(served.lives), "it is heard")
+            pilot = Pilot(served, running)
+            await pilot.ready()
+            await begun(pilot)
+            assert running.vehicle.calibrations.radio
+        assert not running.vehicle.calibrations.radio
 
 
 async def test_it_does_not_begin_unless_the_vehicle_says_that_it_cannot_be_armed() -> None:
