@@ -11,7 +11,6 @@ from rcp_mavlink.fences import beyond, has_areas, is_united
 from rcp_mavlink.geo import shifted
 from rcp_mavlink.pace import Pace
 from rcp_mavlink.parameters import Parameters
-from rcp_mavlink.places import fix_of
 from rcp_mavlink.plans import FENCE, Plans
 from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.vehicle import Vehicle
@@ -87,7 +86,9 @@ class LimitWatch:
 
     def _left(self) -> str | None:
         """Describe the fence that it cannot stop before, or has left."""
-        fix = fix_of(self._vehicle)
+        fix = self._vehicle.fix
+        if fix is None:  # the action ends by itself when it has been without one for long
+            return None
         f = self._vehicle.latest["GLOBAL_POSITION_INT"].fields()
         north, east, down = (f[name] / 100 for name in ("vx", "vy", "vz"))
         speed = (north * north + east * east) ** 0.5
