@@ -46,7 +46,9 @@ class LimitWatch:
         """The fence that is the reason."""
 
     def check(self) -> None:
-        """See whether it keeps to its limits, and could still stop inside its fence."""
+        """See whether it keeps to its limits, and could still stop inside its fence; a fault stays."""
+        if self.fault is not None:
+            return
         self._pace.update(there=False)
         self.fence = self._left()
         self.fault = (
