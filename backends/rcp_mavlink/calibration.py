@@ -10,6 +10,7 @@ from rcp_kernel.errors import PreconditionFailed
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.accelerometer_calibration import AccelerometerCalibration
+from rcp_mavlink.arming_block import ArmingBlock
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.compass_calibration import CompassCalibration
 from rcp_mavlink.intervals import Intervals
@@ -40,11 +41,12 @@ class Calibration:
         intervals: Intervals,
         motion: Motion,
         parameters: Parameters,
+        block: ArmingBlock,
     ) -> None:
         self._vehicle, self._commands = vehicle, commands
         self._compass = CompassCalibration(vehicle, commands, intervals, motion)
         self._accelerometer = AccelerometerCalibration(vehicle, commands)
-        self._radio = RadioCalibration(vehicle, intervals, parameters)
+        self._radio = RadioCalibration(vehicle, intervals, parameters, block)
         self._texts = TextCalibration(vehicle, commands, motion)
 
     def verbs(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:

@@ -39,7 +39,8 @@ _PATIENCE = 30.0  # s without an update after which a command in progress times 
 _LAST_WORDS = 0.15  # s within which the reason may follow the refusal
 _RELATIVE = 6
 _REMEDY = "Fix what the vehicle reports and try again; sensor/prearm shows whether it can be armed."
-_NO_REASON = "The vehicle gave no reason; check sensor/state, sensor/mode and event/statustext."
+_WRONG_MODE = "mode not armable"
+_NO_REASON = "The vehicle gave no reason; check sensor/mode, sensor/health and event/statustext."
 _QUESTIONS = frozenset({401, 510, 511, 512})
 """Commands that only request messages or reasons; they do not move the vehicle."""
 
@@ -202,6 +203,8 @@ class Commands:
         why = [*reasons, *([] if unsaid is None else [unsaid.reason])]
         reason = f": {'; '.join(why)}" if why else ""
         remedy = _REMEDY if reasons else _NO_REASON
+        if any(text.endswith(_WRONG_MODE) for text in reasons):
+            remedy = f"Set mode {self._vehicle.family.guided} with action/set_mode first."
         raise DeviceRejected(
             f"{what}: {words}{reason}",
             remedy=remedy if unsaid is None else unsaid.remedy,

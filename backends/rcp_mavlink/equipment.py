@@ -12,6 +12,7 @@ from rcp_mavlink.corrections import CORRECTIONS, Corrections
 from rcp_mavlink.flight_statistics import FlightStatistics
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.follow import Follows
+from rcp_mavlink.follow_limits import FollowLimits
 from rcp_mavlink.follow_target import FOLLOW_TARGET, FollowTargets
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.intervals import Intervals
@@ -22,6 +23,7 @@ from rcp_mavlink.orbits import Orbits
 from rcp_mavlink.origins import Origins
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.payloads import Payloads
+from rcp_mavlink.plans import Plans
 from rcp_mavlink.position_targets import PositionTargets
 from rcp_mavlink.setpoints import Setpoints
 from rcp_mavlink.speeds import SpeedLimit
@@ -47,6 +49,7 @@ class Equipment:
         setpoints: Setpoints,
         limit: SpeedLimit,
         journeys: Journeys,
+        plans: Plans,
     ) -> None:
         fastest = hub.config.max_speed
         self._turns = Turns(vehicle, commands, motion, limit, fastest)
@@ -58,7 +61,8 @@ class Equipment:
         self._ongoing = (self._winches.ongoing, self._motors.ongoing)
         self._sticks = Sticks(hub, vehicle, motion)
         targets = FollowTargets(hub, vehicle, motion.hold)
-        self._follows = Follows(hub, vehicle, motion, parameters, targets)
+        limits = FollowLimits(vehicle, commands, parameters, limit, plans)
+        self._follows = Follows(hub, vehicle, motion, parameters, targets, limits, journeys)
         self._statistics = FlightStatistics(vehicle, parameters)
         self.writes: dict[str, Callable[[Any], Awaitable[None]]] = {
             "actuator/position": PositionTargets(hub, vehicle, setpoints, parameters).write,

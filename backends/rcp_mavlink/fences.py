@@ -6,10 +6,12 @@ from rcp_mavlink.geo import distance
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["beyond", "crossing", "is_breached", "is_enabled"]
+__all__ = ["beyond", "crossing", "has_areas", "is_breached", "is_enabled", "is_united"]
 
 _GEOFENCE = 1 << 20  # of SYS_STATUS
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
+_UNION = 2  # of FENCE_OPTIONS
+_KEEPS_FENCES = 1 << 14  # MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
 
 
 def is_enabled(vehicle: Vehicle) -> bool:
@@ -45,16 +47,13 @@ def beyond(
 
     The polygons of a fence are on board only, where anybody may change them.
     """
-
-    def value(name: str) -> float | None:
-        known = parameters.known.get(name)
-        return None if known is None else known.value
-
+    if vehicle.family.px4:
+        return _beyond_px4(vehicle, parameters, place, height)
     if not is_enabled(vehicle):
         return None
-    home, kinds = vehicle.home, _kinds(parameters)
-    ceiling, floor = value("FENCE_ALT_MAX"), value("FENCE_ALT_MIN")
-    radius, away = value("FENCE_RADIUS"), 0.0 if home is None else distance(place, home[:2])
+    kinds, away = _kinds(parameters), _from_home(vehicle, place)
+    ceiling, floor = _value(parameters, "FENCE_ALT_MAX"), _value(parameters, "FENCE_ALT_MIN")
+    radius = _value(parameters, "FENCE_RADIUS")
     if kinds & _CEILING and ceiling is not None and height > ceiling:
         return f"{height:g} m above home is above the fence, FENCE_ALT_MAX {ceiling:g} m"
     if kinds & _FLOOR and floor is not None and height < floor:
@@ -62,6 +61,51 @@ def beyond(
     if kinds & _CIRCLE and radius is not None and away > radius:
         return f"{away:.0f} m from home is outside the fence, FENCE_RADIUS {radius:g} m"
     return None
+
+
+def _beyond_px4(
+    vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
+) -> str | None:
+    """Describe what a target violates of PX4's limits, each of which is off at 0."""
+    if not _acts(parameters):
+        return None
+    radius = _value(parameters, "GF_MAX_HOR_DIST") or 0.0
+    ceiling = _value(parameters, "GF_MAX_VER_DIST") or 0.0
+    away = _from_home(vehicle, place)
+    if ceiling > 0 and height > ceiling:
+        return f"{height:g} m above home is above the fence, GF_MAX_VER_DIST {ceiling:g} m"
+    if radius > 0 and away > radius:
+        return f"{away:.0f} m from home is outside the fence, GF_MAX_HOR_DIST {radius:g} m"
+    return None
+
+
+def has_areas(vehicle: Vehicle, parameters: Parameters) -> bool:
+    """Return whether polygons and circles that were uploaded count now."""
+    frame = vehicle.latest.get("AUTOPILOT_VERSION")
+    if frame is not None and not frame.fields()["capabilities"] & _KEEPS_FENCES:
+        return False
+    if vehicle.family.px4:
+        return _acts(parameters)
+    return is_enabled(vehicle) and bool(_kinds(parameters) & _POLYGON)
+
+
+def is_united(vehicle: Vehicle, parameters: Parameters) -> bool:
+    """Return whether a vehicle may be in any area to stay in; otherwise it has to be in all."""
+    options = _value(parameters, "FENCE_OPTIONS")
+    return vehicle.family.px4 or bool(int(options or 0) & _UNION)
+
+
+def _acts(parameters: Parameters) -> bool:
+    return bool(_value(parameters, "GF_ACTION"))
+
+
+def _from_home(vehicle: Vehicle, place: tuple[float, float]) -> float:
+    return 0.0 if vehicle.home is None else distance(place, vehicle.home[:2])
+
+
+def _value(parameters: Parameters, name: str) -> float | None:
+    known = parameters.known.get(name)
+    return None if known is None else known.value
 
 
 def _kinds(parameters: Parameters) -> int:

@@ -15,9 +15,10 @@ from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.flightmodes import Family
+from rcp_mavlink.follow_limits import FollowLimits, LimitWatch
 from rcp_mavlink.follow_target import FollowTargets, can_follow
 from rcp_mavlink.hub import Hub
-from rcp_mavlink.journeys import holding
+from rcp_mavlink.journeys import Journeys, holding
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.vehicle import Vehicle
@@ -59,6 +60,8 @@ class Following(Struct, frozen=True):
     """Horizontal distance from the target."""
     age: Annotated[float, Meta(ge=0, extra_json_schema={"unit": "s"})]
     """Since the latest position of the target."""
+    limited: str | None = None
+    """Why it falls behind: the target is faster than the speed limit."""
 
 
 class Follows:
@@ -71,9 +74,12 @@ class Follows:
         motion: Motion,
         parameters: Parameters,
         targets: FollowTargets,
+        limits: FollowLimits,
+        journeys: Journeys,
     ) -> None:
         self._hub, self._vehicle, self._motion = hub, vehicle, motion
         self._parameters, self._targets = parameters, targets
+        self._limits, self._journeys = limits, journeys
 
     def leading(self) -> dict[str, Callable[[Any, Progress], Awaitable[Any]]]:
         """Return the handler of each path that ends what the vehicle does."""
@@ -85,7 +91,7 @@ class Follows:
         if not can_follow(family):
             return []
         return [
-            Resource(name="action/follow", description="Follow a target that moves: another vehicle of this backend, or positions written to `actuator/follow_target`. Completes after `seconds`; if the target is lost, it fails. The vehicle holds then.", input=Follow | None, output=Following, feedback=Following, examples=({"seconds": 60.0}, {"vehicle": "vehicle2", "side": {"distance": 10.0}}), timeout=36_000, max_age=30.0),
+            Resource(name="action/follow", description="Follow a target that moves: another vehicle of this backend, or positions written to `actuator/follow_target`. Completes after `seconds`; if the target is lost, or leads out of the fence, it fails. The vehicle holds then.", input=Follow | None, output=Following, feedback=Following, examples=({"seconds": 60.0}, {"vehicle": "vehicle2", "side": {"distance": 10.0}}), timeout=36_000, max_age=30.0),
             *FollowTargets.resources(),
         ]  # fmt: skip
 
@@ -94,6 +100,8 @@ class Follows:
 
         :raises PreconditionFailed: it is not in the air, its mode is not enabled, or nobody tells where the target is.
         :raises DeviceTimeout: the target was lost.
+        :raises DeviceRejected: it is outside its fence or would leave it, moves too fast, or something
+            else takes over.
         """
         given = given or Follow()
         vehicle, targets = self._vehicle, self._targets
@@ -109,20 +117,24 @@ class Follows:
                     "follow: nobody tells where the target is",
                     remedy="Write actuator/follow_target first, and go on writing it.",
                 )
+            watch = await self._limits.watch()
             if vehicle.family.px4:
                 await self._set_up_px4(given.side)
             else:
                 await self._set_up_ardupilot(given.side)
             async with holding(self._motion), self._ending():
                 await self._motion.to_mode(_MODE, progress=progress)
-                result = await self._followed(given.seconds, progress)
+                async with self._journeys.limited(watch.keep_limit):
+                    result = await self._followed(given.seconds, watch, progress)
                 await self._motion.hold()
         return result
 
-    async def _followed(self, seconds: float | None, progress: Progress) -> Following:
+    async def _followed(
+        self, seconds: float | None, watch: LimitWatch, progress: Progress
+    ) -> Following:
         targets, vehicle = self._targets, self._vehicle
         began, farthest = time.monotonic(), self._value(_FARTHEST)
-        state = self._state()
+        state = self._state(watch)
 
         def is_followed() -> bool:
             """Return whether the target is known, and near enough for an ArduPilot to follow it."""
@@ -131,11 +143,12 @@ class Follows:
 
         def stays() -> bool:
             aloft = vehicle.armed and vehicle.landed is not True
-            return aloft and vehicle.mode == _MODE and is_followed()
+            return aloft and vehicle.mode == _MODE and is_followed() and watch.fault is None
 
         def report() -> bool:
             nonlocal state
-            state = self._state()
+            watch.check()
+            state = self._state(watch)
             passed = time.monotonic() - began
             progress(state, fraction=None if seconds is None else min(1.0, passed / seconds))
             return seconds is not None and passed >= seconds and stays()
@@ -149,6 +162,8 @@ class Follows:
                 raise DeviceRejected(
                     f"follow: the vehicle is {down}", details=error.details
                 ) from error
+            if watch.fault is not None and isinstance(error, DeviceRejected):
+                raise watch.failure(error) from error
             if is_followed() or isinstance(error, DeviceTimeout):
                 raise
             why = "no position of it came in time"
@@ -159,8 +174,11 @@ class Follows:
             ) from error
         return state
 
-    def _state(self) -> Following:
-        return Following(self._targets.distance(), min(1e6, self._targets.age))
+    def _state(self, watch: LimitWatch) -> Following:
+        fast, limit, limited = self._targets.speed(), watch.speed, None
+        if limit is not None and fast > limit:
+            limited = f"the target moves at {fast:.1f} m/s, the speed limit is {limit:g} m/s"
+        return Following(self._targets.distance(), min(1e6, self._targets.age), limited)
 
     @asynccontextmanager
     async def _ending(self) -> AsyncGenerator[None]:

@@ -16,7 +16,7 @@ from rcp_kernel.types import LinearVelocity
 from rcp_mavlink import messages as m
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.frames import Frame
-from rcp_mavlink.geo import offset
+from rcp_mavlink.geo import distance, offset
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.measurement import Measurement
 from rcp_mavlink.vehicle import Vehicle
@@ -54,6 +54,8 @@ class FollowTargets:
         self._seconds = 0.0
         """For how long the latest one counts."""
         self._relaying = False
+        self._seen_speed = 0.0
+        """How fast it went between its latest two positions, m/s."""
 
     @staticmethod
     def resources() -> list[Resource]:
@@ -109,7 +111,12 @@ class FollowTargets:
             speed, nothing, q, nothing, nothing, 0,
         )  # fmt: skip
         self._hub.send(self._vehicle, message)
-        self._latest, self._at, self._seconds = value, time.monotonic(), seconds
+        now, before = time.monotonic(), self._latest
+        passed = now - self._at
+        self._seen_speed = 0.0
+        if before is not None and 0 < passed < _VALID:
+            self._seen_speed = distance(_place(before), _place(value)) / passed
+        self._latest, self._at, self._seconds = value, now, seconds
 
     @property
     def age(self) -> float:
@@ -127,6 +134,13 @@ class FollowTargets:
         if fix is None or target is None or target.latitude is None or target.longitude is None:
             return None
         return math.hypot(*offset(target.latitude, target.longitude, (fix.lat, fix.lon)))
+
+    def speed(self) -> float:
+        """Return how fast the target moves over the ground, m/s, by its velocity or by its last two positions."""
+        target = self._latest
+        if target is not None and target.velocity is not None:
+            return math.hypot(target.velocity.x, target.velocity.y)
+        return self._seen_speed
 
     # Another vehicle
 
@@ -182,6 +196,10 @@ class FollowTargets:
         above_home = f["alt"] / 1e3 - home[2]
         target = Target(f["lat"] / 1e7, f["lon"] / 1e7, above_home, velocity, heading)
         self._send(target, self._hub.config.feedback_limit)
+
+
+def _place(target: Target) -> tuple[float, float]:
+    return target.latitude or 0.0, target.longitude or 0.0
 
 
 def can_follow(family: Family) -> bool:

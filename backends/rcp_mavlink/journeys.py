@@ -49,7 +49,10 @@ _AIRSPEED, _GROUNDSPEED = 0.0, 1.0
 _LEVEL = 10.0  # m of height tolerance, for a plane
 _STANDING = 0.2  # m/s below which the time left is unknown
 _HOME_TIMEOUT = 3.0  # s
-_FENCED = "Choose a target inside the fence: see service/fence/download, param/FENCE_*."
+_FENCED = (
+    "Choose a target inside the fence: see service/fence/download, param/FENCE_* or param/GF_*."
+)
+_IGNORED = "Reposition is outside geofence"  # PX4's own text
 
 
 class Journeys:
@@ -84,6 +87,8 @@ class Journeys:
             altitude = await self._terrain.above_home(lat, lon, altitude)
             fix = fix_of(vehicle)  # it may have moved meanwhile
             self._target(goal, fix)
+        if vehicle.family.px4:  # it would accept the target, and ignore it
+            self._check_fence((lat, lon), altitude)
         distance = max(away(vehicle, fix, lat, lon, altitude), 0.1)
         wanted, limit = goal.speed, self._limit.usual
 
@@ -121,8 +126,8 @@ class Journeys:
                 with self._explained((lat, lon), altitude), unanswered(report):
                     await self._go(goal, fix, lat, lon, altitude)
             report()  # it moves from here on, so a lost link no longer means a refusal
-            async with self._stopping(RcpError), self._limited(keep_limit):
-                await self._follow(goal, pace, report)
+            async with self._stopping(RcpError), self.limited(keep_limit):
+                await self._follow(goal, pace, report, since)
         now = fix_of(vehicle)
         error = away(vehicle, now, lat, lon, altitude)
         pose = pose_of(vehicle, now, pace.heading)
@@ -137,6 +142,9 @@ class Journeys:
         goal, place, altitude = self._target(goal, fix)
         if goal.above == "terrain":  # only the vehicle knows how high that is
             altitude = fix.height
+        self._check_fence(place, altitude)
+
+    def _check_fence(self, place: tuple[float, float], altitude: float) -> None:
         if (why := beyond(self._vehicle, self._parameters, place, altitude)) is not None:
             raise DeviceRejected(f"move_to: {why}", remedy=_FENCED, details={"fence": why})
 
@@ -166,7 +174,7 @@ class Journeys:
             await self._under_way()
 
     @asynccontextmanager
-    async def _limited(self, keep_limit: Callable[[], Awaitable[None]]) -> AsyncGenerator[None]:
+    async def limited(self, keep_limit: Callable[[], Awaitable[None]]) -> AsyncGenerator[None]:
         """Keep to the speed limit while entered; it may have changed just before."""
         self._under_way = keep_limit
         try:
@@ -176,7 +184,9 @@ class Journeys:
             if self._under_way is keep_limit:
                 self._under_way = None
 
-    async def _follow(self, goal: m.MoveTo, pace: Pace, report: Callable[[], bool]) -> None:
+    async def _follow(
+        self, goal: m.MoveTo, pace: Pace, report: Callable[[], bool], since: float
+    ) -> None:
         """Wait until it arrives; abort if it deviates from the request."""
         vehicle, guided = self._vehicle, self._vehicle.family.guided
         if goal.yaw is not None and not vehicle.family.px4:
@@ -184,12 +194,23 @@ class Journeys:
         await self._motion.seen(lambda: vehicle.mode == guided, "move_to")
 
         def stays() -> bool:
-            return vehicle.mode == guided and pace.fault is None
+            return vehicle.mode == guided and pace.fault is None and not self._is_ignored(since)
 
         try:
             await self._motion.follow(report, "move_to", stays=stays)
         except DeviceRejected as error:
+            if self._is_ignored(since):
+                raise DeviceRejected(
+                    f"move_to: the vehicle stays where it is: {_IGNORED}",
+                    remedy=_FENCED,
+                    details={**(error.details or {}), "fence": _IGNORED},
+                ) from None
             raise self._failure(pace, error) from None
+
+    def _is_ignored(self, since: float) -> bool:
+        """Return whether a PX4, which accepts any target, has said that it ignores this one."""
+        texts = self._vehicle.texts_since(since) if self._vehicle.family.px4 else ()
+        return any(_IGNORED in text for text in texts)
 
     def _check(self, goal: m.MoveTo) -> None:
         """Refuse what the vehicle cannot do, before anything moves.

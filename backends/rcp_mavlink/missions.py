@@ -96,16 +96,19 @@ class Missions:
         return m.MissionProgress(item, now.get("total", 0), self._vehicle.mode)
 
     async def _is_finished(self) -> bool:
-        """Return whether a PX4 that has left the mode did so at the end of its mission, as it always does."""
-        vehicle = self._vehicle
-        if not vehicle.family.px4 or vehicle.mode != vehicle.family.hold:
+        """Return whether it has left the mode at the end of its mission, as a PX4 and a rover always do."""
+        vehicle, now = self._vehicle, self._now()
+        if vehicle.family.px4:
+            if vehicle.mode != vehicle.family.hold:
+                return False
+        elif now["seq"] < now.get("total", 0):  # an ArduPilot stays at the last item
             return False
-        return await vehicle.until(
-            lambda: (
-                self._now()["mission_state"] == _COMPLETE and vehicle.mode == vehicle.family.hold
-            ),
-            _ENDING,
-        )
+
+        def is_complete() -> bool:
+            holds = not vehicle.family.px4 or vehicle.mode == vehicle.family.hold
+            return holds and self._now()["mission_state"] == _COMPLETE
+
+        return await vehicle.until(is_complete, _ENDING)
 
     async def pause(self, _: None, progress: Progress) -> m.MissionProgress:
         """Stop at the current position, to resume later."""

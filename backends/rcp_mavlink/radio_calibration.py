@@ -15,9 +15,11 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.spi import Progress
 from rcp_mavlink import messages as m
+from rcp_mavlink.arming_block import ArmingBlock
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.intervals import Intervals
 from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.restart import Restart, watched
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["RadioCalibration"]
@@ -38,18 +40,25 @@ _MIDDLE = (
     " service/calibrate/continue."
 )
 _ARMED = "calibrate radio: the vehicle was armed meanwhile, and still is"
+_RESTARTED = (
+    "calibrate radio: the vehicle restarted, so its sticks can arm it again; nothing was written"
+)
 _DISARM = "Stand back, and execute action/disarm before you try again."
 _ENDS = (
-    "Move all sticks and switches to all their ends, but the throttle never down while yaw is held"
-    " to the right, which arms it. Then execute service/calibrate/continue."
+    "Move all sticks and switches to all their ends; until this is over the vehicle refuses to arm."
+    " Then put the throttle down, the other sticks in the middle and all switches to their usual"
+    " places, and execute service/calibrate/continue."
 )
 
 
 class RadioCalibration:
     """The remote control of one vehicle."""
 
-    def __init__(self, vehicle: Vehicle, intervals: Intervals, parameters: Parameters) -> None:
+    def __init__(
+        self, vehicle: Vehicle, intervals: Intervals, parameters: Parameters, block: ArmingBlock
+    ) -> None:
         self._vehicle, self._intervals, self._parameters = vehicle, intervals, parameters
+        self._block = block
         self._going_on: asyncio.Event | None = None
         self._step = ""
 
@@ -67,8 +76,11 @@ class RadioCalibration:
     async def run(self, progress: Progress) -> m.Calibrated:
         """Measure all channels, and write those that were moved; nothing is written before.
 
+        The vehicle cannot be armed meanwhile.
+
         :raises UnsupportedOperation: the autopilot is a PX4.
         :raises AdapterUnavailable: no pulses of a remote control are reported.
+        :raises PreconditionFailed: it does not confirm that it cannot be armed, or restarts.
         :raises DeviceRejected: a stick that flies the vehicle was not moved.
         """
         if self._vehicle.family.px4:
@@ -78,9 +90,13 @@ class RadioCalibration:
             )
         with self._pulses():
             await self._first()
-            middle: dict[int, int] = {}
-            await self._ask("middle", _MIDDLE, progress, 0.0)
-            middle.update(self._now())
+            async with self._block.held():
+                return m.Calibrated("radio", await self._calibrated(progress))
+
+    async def _calibrated(self, progress: Progress) -> list[str]:
+        with watched(self._vehicle) as restart:
+            await self._ask("middle", _MIDDLE, progress, 0.0, restart)
+            middle = self._now()
             low, high = dict(middle), dict(middle)
 
             def take(frame: Frame) -> None:
@@ -88,8 +104,9 @@ class RadioCalibration:
                     low[channel] = min(low.get(channel, pulse), pulse)
                     high[channel] = max(high.get(channel, pulse), pulse)
 
+            await self._block.renew()  # somebody else's calibration would have ended it
             with self._vehicle.listening(_CHANNELS, take):
-                await self._ask("ends", _ENDS, progress, 0.4)
+                await self._ask("ends", _ENDS, progress, 0.4, restart)
         moved = [channel for channel in middle if high[channel] - low[channel] >= _USED]
         await self._parameters.complete.wait()
         self._check(moved)
@@ -97,7 +114,7 @@ class RadioCalibration:
             channel: self._wanted(channel, low[channel], middle[channel], high[channel])
             for channel in moved
         }
-        return m.Calibrated("radio", await self._write(wanted))
+        return await self._write(wanted)
 
     @contextmanager
     def _pulses(self) -> Generator[None]:
@@ -118,17 +135,21 @@ class RadioCalibration:
                 remedy="Switch the remote control on, and check that its receiver is bound.",
             )
 
-    async def _ask(self, step: str, text: str, progress: Progress, part: float) -> None:
+    async def _ask(
+        self, step: str, text: str, progress: Progress, part: float, restart: Restart
+    ) -> None:
         """Wait until somebody says that it is done.
 
-        :raises PreconditionFailed: the vehicle was armed meanwhile.
+        :raises PreconditionFailed: the vehicle was armed meanwhile, or restarted and may be.
         """
         self._going_on, self._step = asyncio.Event(), step
         progress(m.Calibrating(text, step), fraction=part)
         going_on = self._going_on
-        await self._vehicle.until(lambda: going_on.is_set() or self._vehicle.armed)
+        await self._vehicle.until(lambda: going_on.is_set() or self._vehicle.armed or restart.done)
         if self._vehicle.armed:
             raise PreconditionFailed(_ARMED, remedy=_DISARM)
+        if restart.done:
+            raise PreconditionFailed(_RESTARTED, remedy="Leave the sticks alone, and begin again.")
 
     def _now(self) -> dict[int, int]:
         frame = self._vehicle.latest.get(_CHANNELS)

@@ -22,6 +22,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
+from rcp_mavlink.arming_block import ArmingBlock
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.component_metadata import ComponentMetadata
@@ -105,7 +106,7 @@ class Robot:
         )
         self._equipment = Equipment(
             hub, vehicle, self._commands, self.intervals, self.motion, self.parameters,
-            self.setpoints, self.speed_limit, journeys,
+            self.setpoints, self.speed_limit, journeys, self.plans,
         )  # fmt: skip
         self.stop = Stop(
             hub, vehicle, self._commands, self.measurement,
@@ -145,6 +146,15 @@ class Robot:
             242: self._homed,  # HOME_POSITION
         }
         self._flights = Flights(vehicle, self._commands, self.motion, self.parameters, journeys)
+        self._arming_block = ArmingBlock(vehicle, self._commands, self.motion)
+        calibration = Calibration(
+            vehicle,
+            self._commands,
+            self.intervals,
+            self.motion,
+            self.parameters,
+            self._arming_block,
+        )
         missions = Missions(vehicle, self._commands, self.plans, self.motion)
         leading = {
             **self._flights.verbs(), **self._equipment.leading(), "action/mission/run": missions.run
@@ -168,9 +178,7 @@ class Robot:
             **self._equipment.verbs(),
             "action/mission/resume": self._seen_to_move(missions.resume),
             **Imaging(hub, vehicle, self._commands, self.intervals, files).verbs(),
-            **Calibration(
-                vehicle, self._commands, self.intervals, self.motion, self.parameters
-            ).verbs(),
+            **calibration.verbs(),
             "service/mission/download": lambda _, __: self._download(MISSION),
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
             "service/fence/upload": lambda items, _: self._upload(FENCE, items),
@@ -261,6 +269,7 @@ class Robot:
         """Release the vehicle."""
         self._closed = True
         self._end_all()
+        self._arming_block.close()
         self.guard.take_back()
         await self.stop.close()
         for task in list(self._tasks):
@@ -331,6 +340,7 @@ class Robot:
         if self.vehicle.lost:  # the uplink may work although the downlink does not
             self.stop_if_latched()
         self._equipment.keep_ending()
+        self._arming_block.keep_releasing()
         self.telemetry_events.links()
         self.traffic.poll()
         self.guard.renew()

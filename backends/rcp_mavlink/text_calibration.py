@@ -54,7 +54,7 @@ class TextCalibration:
                 return
             words, heard = text.text.removeprefix(_PREFIX), time.monotonic()
             said.append(words)
-            if (part := _PROGRESS.match(words)) is not None:
+            if (part := _PROGRESS.search(words)) is not None:
                 fraction = max(fraction, min(1.0, int(part[1]) / 100))
             if (side := _DETECTED.match(words)) is not None:
                 position = side[1]

@@ -10,7 +10,7 @@ from hashlib import sha256
 
 from rcp_mavlink_sim import Options, fly, vehicle_of
 from rcp_mavlink_sim.kinds import KINDS
-from rcp_mavlink_sim.parameters_table import table
+from rcp_mavlink_sim.parameters_table import settable
 
 
 def _arguments() -> argparse.Namespace:
@@ -61,7 +61,7 @@ def _options(given: argparse.Namespace, number: int) -> Options:
     lat, lon, height = (float(part) for part in given.home.split(","))
     north, east = (float(part) for part in given.wind.split(","))
     parameters = dict(pair.split("=", 1) for pair in given.param)
-    unknown = sorted(parameters.keys() - table(given.vehicle).keys())
+    unknown = sorted(parameters.keys() - settable(given.vehicle))
     if unknown:
         sys.exit(f"it has no parameter {', '.join(unknown)}")
     return Options(

@@ -17,10 +17,13 @@ def _calibrate(c: CommandRequest) -> int:
         return mav.MAV_RESULT_FAILED
     if c.p[0] == 1:
         vehicle.send_text(6, "Calibrating gyros")
-    elif c.p[2] == 1:
+        return mav.MAV_RESULT_ACCEPTED
+    if c.p[2] == 1:
         vehicle.send_text(6, "Calibrating barometer")
         vehicle.send_text(6, "Barometer calibration complete")
-    elif c.p[4] == 1:
+        return mav.MAV_RESULT_ACCEPTED
+    vehicle.calibrations.radio = c.p[3] > 0  # which alone is no result
+    if c.p[4] == 1:
         vehicle.calibrations.start_accelerometers()
     elif c.p[4] not in (2, 4):
         return mav.MAV_RESULT_UNSUPPORTED

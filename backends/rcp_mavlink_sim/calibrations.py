@@ -36,6 +36,8 @@ class Calibrations:
         """The position of the accelerometers that is waited for; 0 if none."""
         self._wrong = False
         self._repeat = 0.0
+        self.radio = False
+        """Whether a ground station calibrates the remote control, so that it refuses to arm."""
 
     # Compass
 

@@ -12,7 +12,7 @@ import sys
 import msgspec
 
 from rcp_mavlink_sim import Options, fly, vehicle_of
-from rcp_mavlink_sim.parameters_table import table
+from rcp_mavlink_sim.parameters_table import settable
 
 __all__ = ["Start", "main"]
 
@@ -31,7 +31,7 @@ async def _run() -> None:
     owner = asyncio.StreamReader(limit=_LONGEST)
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(owner), sys.stdin)
     start = msgspec.json.decode(await owner.readline(), type=Start)
-    unknown = sorted(start.options.parameters.keys() - table(start.options.vehicle).keys())
+    unknown = sorted(start.options.parameters.keys() - settable(start.options.vehicle))
     if unknown:
         sys.exit(f"it has no parameter {', '.join(unknown)}")
     async with fly(vehicle_of(start.options), *start.links):

@@ -11,10 +11,11 @@ from rcp_mavlink_sim.plans import Plan
 from rcp_mavlink_sim.state import VehicleState
 from rcp_mavlink_sim.wire import mav
 
-__all__ = ["Fence"]
+__all__ = ["Fence", "Point"]
 
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8
-_LAND, _BRAKE = 2, 4  # bits of FENCE_TYPE
+_LAND, _BRAKE = 2, 4  # FENCE_ACTION
+_UNION = 2  # of FENCE_OPTIONS
 _NAMES = {_CEILING: "Max Alt", _CIRCLE: "Circle", _POLYGON: "Polygon", _FLOOR: "Min Alt"}
 Point = tuple[float, float]
 
@@ -75,6 +76,11 @@ class Fence:
         brake = Mode.BRAKE if action == _BRAKE and vehicle.kind.name == "copter" else None
         self._flight.retreat(return_home=action not in (_LAND, _BRAKE), to=brake)
 
+    @property
+    def united(self) -> bool:
+        """Whether one area to stay in is enough; otherwise it has to be in all."""
+        return bool(int(self._vehicle.params["FENCE_OPTIONS"]) & _UNION)
+
     def _inside(self, place: Point) -> bool:
         items, at = self.plan.items, 0
         inner: list[bool] = []
@@ -96,7 +102,7 @@ class Fence:
                     return False
             else:
                 inner.append(within)
-        return any(inner) or not inner
+        return not inner or (any(inner) if self.united else all(inner))
 
 
 def _in_polygon(place: Point, corners: list[Point]) -> bool:

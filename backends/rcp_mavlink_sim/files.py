@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from urllib.parse import parse_qs
 
 from rcp_mavlink_sim.flightlog import FlightLog
@@ -21,14 +22,20 @@ _WITH_DEFAULTS = 0x671C
 class Files:
     """Directories and files by path, without leading or trailing slashes; the root is empty."""
 
-    def __init__(self, kind: str, params: Parameters, log: FlightLog) -> None:
-        self._kind, self._params, self._flights = kind, params, log
+    def __init__(
+        self, kind: str, params: Parameters, log: FlightLog, fixed: Mapping[str, bytes]
+    ) -> None:
+        """Hold those of one vehicle; `fixed` ones are part of its firmware."""
+        self._kind, self._params, self._flights, self._fixed = kind, params, log, fixed
         self._stored: dict[str, bytearray] = {
             "@ROMFS/locations.txt": bytearray(
                 b"#NAME=latitude,longitude,absolute-altitude,heading\n"
             )
         }
         self._folders = {"", "@PARAM", "@ROMFS", "@SYS", "APM", _LOGS, "APM/scripts", _PICTURES}
+        above = {folder for path in fixed for folder in _folders_of(path)}
+        self._folders |= above
+        self._firmware = frozenset(above)
 
     def folder(self, path: str) -> bool:
         """Return whether a directory exists."""
@@ -57,6 +64,8 @@ class Files:
             return b"UARTV1\nSERIAL0 OTG1\n"
         if plain.startswith(f"{_LOGS}/"):
             return self._log(plain)
+        if path in self._fixed:
+            return self._fixed[path]
         stored = self._stored.get(path)
         return None if stored is None else bytes(stored)
 
@@ -74,6 +83,8 @@ class Files:
         """Create an empty file, replacing one of that name; return whether this succeeded."""
         folder, _, name = path.rpartition("/")
         if not name or path.startswith("@") or folder not in self._folders or path in self._folders:
+            return False
+        if folder in self._firmware:
             return False
         self._stored[path] = bytearray()
         return True
@@ -94,6 +105,8 @@ class Files:
         parent, _, name = path.rpartition("/")
         taken = path in self._folders or path in self._stored
         if not name or path.startswith("@") or taken or parent not in self._folders:
+            return False
+        if parent in self._firmware:
             return False
         self._folders.add(path)
         return True
@@ -130,7 +143,7 @@ class Files:
 
     def _made(self) -> list[str]:
         logs = [f"{_LOGS}/{number:08d}.BIN" for number in self._flights.logs]
-        return ["@PARAM/param.pck", "@SYS/uarts.txt", *logs]
+        return ["@PARAM/param.pck", "@SYS/uarts.txt", *logs, *self._fixed]
 
     def _log(self, path: str) -> bytes | None:
         number = path.rpartition("/")[2].removesuffix(".BIN")
@@ -162,6 +175,12 @@ class Files:
                 out += struct.pack(f"<{kind}", CASTS[kind](value))
             last = name
         return bytes(out)
+
+
+def _folders_of(path: str) -> list[str]:
+    """Return the folders that a file is in, except the root."""
+    parts = path.split("/")[:-1]
+    return ["/".join(parts[: n + 1]) for n in range(len(parts))]
 
 
 def _common(last: str, name: str) -> int:

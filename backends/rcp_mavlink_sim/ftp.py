@@ -224,8 +224,7 @@ class Ftp:
         content = self._files.read(request.path)
         if content is None:
             raise _Refused(_NOT_FOUND)
-        # CRC-32 that starts from 0 and is not inverted at the end, as MAVLink's is.
-        return struct.pack("<I", zlib.crc32(content, 0xFFFFFFFF) ^ 0xFFFFFFFF)
+        return struct.pack("<I", checksum(content))
 
     # Directories
 
@@ -256,6 +255,11 @@ class Ftp:
         if not self._files.exists(old):
             raise _Refused(_NOT_FOUND)
         return _done(self._files.rename(old, new), _FAIL)
+
+
+def checksum(content: bytes) -> int:
+    """Return MAVLink's CRC-32 of a file: it starts from 0 and is not inverted at the end."""
+    return zlib.crc32(content, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
 def _done(done: bool, code: int) -> bytes:  # noqa: FBT001 - the outcome, as a reply

@@ -10,7 +10,7 @@ from functools import cache
 
 from rcp_mavlink_sim.px4_parameters import PX4
 
-__all__ = ["CASTS", "table"]
+__all__ = ["CASTS", "settable", "table"]
 
 CASTS: dict[str, Callable[[float], float]] = {"b": int, "h": int, "i": int, "f": float}
 """Conversion of a value, by the letter of its type."""
@@ -125,6 +125,12 @@ def table(vehicle: str) -> dict[str, tuple[str, float]]:
     for output, function in enumerate(outputs, 1):
         found[f"SERVO{output}_FUNCTION"] = ("h", float(function))
     return dict(sorted(found.items()))
+
+
+def settable(vehicle: str) -> frozenset[str]:
+    """Return the names that a vehicle takes at its start: also those of the simulation that it does not list."""
+    simulated = [entry for entry in _SIMULATED.replace("\n", "|").split("|") if entry]
+    return frozenset(table(vehicle)) | frozenset(_read(simulated))
 
 
 def _read(entries: Iterable[str]) -> dict[str, tuple[str, float]]:

@@ -41,6 +41,8 @@ class Pilot(ABC):
         """Roll, pitch (rad) and thrust (0…1, half is hovering) that override everything else."""
         self.lean: tuple[float, float] | None = None
         """Roll and pitch (rad) that override position and velocity."""
+        self.most: float | None = None
+        """Limit of the whole horizontal speed, that of a target included, m/s; None if there is none."""
         self.passes = False
         """Whether a plane flies straight at the target instead of circling it."""
         self.spinning = False

@@ -36,7 +36,7 @@ class Systems(VehicleState):
     def __init__(self, options: Options) -> None:
         self.log = FlightLog()
         super().__init__(options)
-        self.files = Files(options.vehicle, self.params, self.log)
+        self.files = Files(options.vehicle, self.params, self.log, self.make_metadata())
         self.camera = Camera(self, self.files)
 
     def begin(self, heading: float) -> None:
@@ -45,17 +45,29 @@ class Systems(VehicleState):
         self.flight = self.make_flight()
         self.flight.limits()
         self.failsafes = self.make_failsafes()
-        self.fence = Fence(self, self.flight)
+        self.fence = self.make_fence()
         self.mount, second = Mount(self), Mount(self, 2)
         self.mounts = (self.mount, second)
         """Those of `MNT1_*` and `MNT2_*`; the first is the primary one, with the camera."""
         self.payloads = Payloads(self)
         self.motor_test = MotorTest(self)
-        self.calibrations = Calibrations(self)
+        self.calibrations = self.make_calibrations()
 
     def make_flight(self) -> Flight:
         """Return its flight logic."""
         return _FLIGHTS[self.kind.name](self)
+
+    def make_metadata(self) -> dict[str, bytes]:
+        """Return the files in which it tells of itself: an ArduPilot has none."""
+        return {}
+
+    def make_fence(self) -> Fence:
+        """Return its fence."""
+        return Fence(self, self.flight)
+
+    def make_calibrations(self) -> Calibrations:
+        """Return its calibrations."""
+        return Calibrations(self)
 
     def make_failsafes(self) -> Failsafes:
         """Return its failsafes."""
@@ -63,7 +75,7 @@ class Systems(VehicleState):
 
     def complaints(self) -> list[str]:
         """List what prevents arming, in ArduPilot's words; empty if it may arm."""
-        return complaints(self, self.flight, self.failsafes, self.fence)
+        return complaints(self, self.flight, self.failsafes, self.fence, self.calibrations)
 
     def gimbal(self, device: float) -> Mount | None:
         """Return the mount of a gimbal device id; 0 is the primary one, None if it is not fitted."""

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from rcp_mavlink_sim.arming import mode_complaint
 from rcp_mavlink_sim.flight import FORCE
+from rcp_mavlink_sim.stick_arming import StickArming
 from rcp_mavlink_sim.systems import Systems
 from rcp_mavlink_sim.telemetry import MAKERS
 from rcp_mavlink_sim.wire import mav
@@ -44,6 +45,7 @@ class Vehicle(Systems):
         self._announced = 0
         self._chattered = 0.0
         self._left = 0.0
+        self._stick_arming = StickArming(self)
         self.rebooted = False
 
     def reboot(self) -> None:
@@ -137,6 +139,7 @@ class Vehicle(Systems):
             self.set_home(None)
             self.send_text(6, self.ready_text)
         self.sticks.expire(self.wall)
+        self.step_sticks(seconds)
         flying = self.armed and (not self.body.landed or not self.kind.flies)
         self.statistics.step(seconds, flying=flying)
         self.noise.step(seconds)
@@ -149,6 +152,17 @@ class Vehicle(Systems):
         self.fence.check()
         self.failsafes.check(seconds)
         self.step_checks()
+
+    def step_sticks(self, seconds: float) -> None:
+        """Arm or disarm as the sticks say."""
+        self._stick_arming.step(seconds)
+        if self._stick_arming.wanted == "arm" and not self.armed:
+            if (wrong := mode_complaint(self, self.flight, by_sticks=True)) is None:
+                self.arm()
+            else:
+                self.send_text(2, f"Arm: {wrong}")
+        elif self._stick_arming.wanted == "disarm" and (self.kind.drives or self.body.landed):
+            self.flight.disarm()
 
     def step_checks(self) -> None:
         """Send now and then what prevents arming."""

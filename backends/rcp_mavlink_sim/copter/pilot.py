@@ -59,6 +59,9 @@ class QuadPilot(Pilot):
             quick = pace(distance, limits.speed, limits.acceleration, _PLACE_GAIN)
             part = quick / distance if distance > 1e-6 else 0.0
             vn, ve = dn * part + self.velocity[0], de * part + self.velocity[1]
+        if self.most is not None and math.hypot(vn, ve) > self.most:
+            part = self.most / math.hypot(vn, ve)
+            vn, ve = vn * part, ve * part
         if self.faces_travel and math.hypot(vn, ve) > _FACES_TRAVEL_FROM * limits.speed:
             self.yaw = math.atan2(ve, vn)
         self._vn, self._ve = _toward((self._vn, self._ve), (vn, ve), limits.acceleration * 1.5 * dt)

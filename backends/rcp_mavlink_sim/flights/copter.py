@@ -19,7 +19,7 @@ _BY_STICK = (Mode.STABILIZE, Mode.ALT_HOLD, Mode.LOITER, Mode.POSHOLD)
 class CopterFlight(Flight):
     """The flight of a copter."""
 
-    paced = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL})
+    paced = frozenset({Mode.GUIDED, Mode.AUTO, Mode.RTL, Mode.FOLLOW})
 
     def __init__(self, vehicle: VehicleState) -> None:
         super().__init__(vehicle)
@@ -38,8 +38,8 @@ class CopterFlight(Flight):
         self.patience = p["GUID_TIMEOUT"]
 
     def apply_parameters(self) -> None:
-        """Apply changed parameters, except the speeds in GUIDED: its tasks keep those that they began with."""
-        if self.mode is Mode.GUIDED:
+        """Apply changed parameters, except the speeds in GUIDED and FOLLOW, which keep those that they began with."""
+        if self.mode in (Mode.GUIDED, Mode.FOLLOW):
             self.patience = self._vehicle.params["GUID_TIMEOUT"]
         else:
             super().apply_parameters()
@@ -107,6 +107,7 @@ class CopterFlight(Flight):
         """Enter a mode; the centre of a circle is ahead by its radius."""
         super().enter(mode)
         self._vehicle.leader.forget_offset()
+        self._vehicle.pilot.most = None
         if mode is Mode.CIRCLE:
             body, radius = self._vehicle.body, self._vehicle.params["CIRCLE_RADIUS"] / 100
             self._centre = (
@@ -145,12 +146,17 @@ class CopterFlight(Flight):
             return
         dn, de, dd = vehicle.leader.offset((body.n - n, body.e - e, body.d - d))
         pilot.place, pilot.depth = (n + dn, e + de), d + dd
-        pilot.velocity = (vn, ve)
+        pilot.velocity, pilot.most = (vn, ve), self.follows_at_most
         if (
             vehicle.params["FOLL_YAW_BEHAVE"] == _FACES_IT
             and math.hypot(n - body.n, e - body.e) > 1
         ):
             pilot.yaw = math.atan2(e - body.e, n - body.n)
+
+    @property
+    def follows_at_most(self) -> float:
+        """The speed that FOLLOW does not exceed, m/s."""
+        return self._vehicle.pilot.limits.speed
 
     def _stop(self) -> None:
         pilot = self._vehicle.pilot

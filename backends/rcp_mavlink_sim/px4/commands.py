@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 from rcp_mavlink_sim import camera_commands, commands
 from rcp_mavlink_sim.modes import Mode
+from rcp_mavlink_sim.px4.calibrations import Px4Calibrations
+from rcp_mavlink_sim.px4.fence import Px4Fence
 from rcp_mavlink_sim.px4.flight import HOLD, Px4Flight
 from rcp_mavlink_sim.requests import CommandRequest
 from rcp_mavlink_sim.wire import mav
@@ -26,6 +28,7 @@ _SAVED = (0, 1)  # PREFLIGHT_STORAGE: load, save
 _ERASE = 2
 _QUICKEST = 1e3  # m/s
 _LARGEST = 1e3  # m
+_QUICK = 4  # of PREFLIGHT_CALIBRATION
 
 
 def _flight(c: CommandRequest) -> Px4Flight:
@@ -87,6 +90,12 @@ def _reposition(c: CommandRequest) -> int:
         return _DENIED
     if not flight.set_mode(HOLD):
         return _REJECTED
+    vehicle = c.peer.vehicle
+    assert isinstance(vehicle.fence, Px4Fence)
+    at = vehicle.geographic() if place is None else (c.p[4], c.p[5])
+    if not vehicle.fence.allows(at, -vehicle.body.d if height is None else height):
+        vehicle.send_text(2, "Reposition is outside geofence")
+        return _OK  # of the commander, which does not know what the navigator does
     flight.reposition(place, None if height is None else -height, c.p[0], c.p[3])
     return _OK
 
@@ -139,6 +148,36 @@ def _checks(c: CommandRequest) -> int:
     return _OK
 
 
+def _calibrate(c: CommandRequest) -> int:
+    """Calibrate one thing; nothing at all ends what is under way."""
+    calibrations, vehicle = c.peer.vehicle.calibrations, c.peer.vehicle
+    assert isinstance(calibrations, Px4Calibrations)
+    if not any(c.p):
+        calibrations.cancel()
+        return _OK
+    if vehicle.armed or calibrations.what is not None:
+        return _REJECTED
+    if c.p[3] == 1:
+        calibrations.ignore_sticks()
+        return _OK
+    wanted = (
+        (0, 1, "gyro"),
+        (1, 1, "mag"),
+        (2, 1, "baro"),
+        (4, 1, "accel"),
+        (4, 2, "level"),
+        (4, 4, "accel"),
+    )
+    what = next((name for place, value, name in wanted if c.p[place] == value), None)
+    if what is None:
+        return _DENIED
+    if c.p[4] == _QUICK:
+        calibrations.measure_at_once()
+    else:
+        calibrations.begin(what)
+    return _OK
+
+
 def _pitch_yaw(c: CommandRequest) -> int:
     """Turn the gimbal for who controls it."""
     mount = c.peer.vehicle.gimbal(c.p[6])
@@ -170,5 +209,6 @@ DOERS: dict[int, Callable[[CommandRequest], int]] = {
     mav.MAV_CMD_PREFLIGHT_STORAGE: _storage,
     mav.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
     mav.MAV_CMD_RUN_PREARM_CHECKS: _checks,
+    mav.MAV_CMD_PREFLIGHT_CALIBRATION: _calibrate,
 }
 """What each command does."""

@@ -42,6 +42,11 @@ class Px4Flight(CopterFlight):
         self._heard = self._since = -math.inf
         self._climb = 0.0
 
+    @property
+    def follows_at_most(self) -> float:
+        """The speed that FOLLOW does not exceed, m/s."""
+        return self._vehicle.params["MPC_XY_VEL_MAX"]
+
     # Set-points
 
     def hear(self) -> None:

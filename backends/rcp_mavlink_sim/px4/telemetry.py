@@ -8,7 +8,8 @@ from typing import Any
 
 from rcp_mavlink_sim import mount_messages
 from rcp_mavlink_sim.modes import Mode
-from rcp_mavlink_sim.sensing import microseconds
+from rcp_mavlink_sim.px4.metadata import ComponentMetadata, component_metadata
+from rcp_mavlink_sim.sensing import microseconds, milliseconds
 from rcp_mavlink_sim.systems import Systems
 from rcp_mavlink_sim.telemetry import MAKERS as SHARED
 from rcp_mavlink_sim.telemetry import state_of
@@ -99,6 +100,7 @@ MAKERS: dict[int, Callable[[Systems], Any]] = {
     mav.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
     mav.MAVLINK_MSG_ID_WIND_COV: _wind,
     mav.MAVLINK_MSG_ID_MISSION_CURRENT: _mission,
+    ComponentMetadata.id: lambda v: component_metadata(milliseconds(v)),
 }
 """Builders of the available messages, by id; they return None while there is no value."""
 del MAKERS[mav.MAVLINK_MSG_ID_MOUNT_STATUS]  # of the older protocol

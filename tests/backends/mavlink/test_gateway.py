@@ -72,6 +72,15 @@ async def test_a_refusal_to_arm_carries_its_reason_which_could_be_read_before() 
         assert "Gyros inconsistent" in told["reasons"]
 
 
+async def test_a_mode_in_which_it_cannot_be_armed_is_named_with_one_in_which_it_can() -> None:
+    async with flying() as pilot:
+        on_the_ground(pilot.vehicle, Mode.RTL)
+        await pilot.ready()
+        reply = await pilot.do("action/arm")
+        assert "RTL mode not armable" in reply["message"]
+        assert reply["error"]["remedy"] == "Set mode GUIDED with action/set_mode first."
+
+
 async def test_out_and_back_with_progress(pilot: Pilot) -> None:
     client, vehicle = pilot.client, pilot.vehicle
     assert (await pilot.do("action/arm"))["body"] == {"armed": True, "mode": "GUIDED"}

@@ -48,7 +48,11 @@ def aloft(vehicle: Vehicle, height: float = 20.0) -> None:
 
 @asynccontextmanager
 async def px4(
-    *, up: bool = True, parameters: dict[str, float] | None = None, **more: Any
+    *,
+    up: bool = True,
+    parameters: dict[str, float] | None = None,
+    table: dict[str, Any] | None = None,
+    **more: Any,
 ) -> AsyncGenerator[Px4Pilot]:
     given = {"COM_DISARM_PRFLT": 0.0, "MPC_XY_CRUISE": 10.0} | (parameters or {})
     options = {"warmup": 0.0, "speed": 10.0, "parameters": given} | more
@@ -57,12 +61,12 @@ async def px4(
     if up:
         aloft(vehicle)
     async with fly(vehicle, "udpin:127.0.0.1:0") as twin:
-        table = {
+        config = {
             "links": [f"udpout:127.0.0.1:{twin.ports[0][1]}"],
             "silence": 1.5,
             "feedback_timeout": 5.0,
-        }
-        async with serve_backend(KIND, table) as served:
+        } | (table or {})
+        async with serve_backend(KIND, config) as served:
             await eventually(lambda: _is(served.lives and served.life.backend.robots), "it is open")
             pilot = Px4Pilot(served, twin)
             await pilot.ready()

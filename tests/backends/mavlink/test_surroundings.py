@@ -320,7 +320,7 @@ async def test_a_calibration_of_the_remote_control_that_fails_writes_nothing(
     if why == "still":
         await pilot.do(GO_ON)
     elif why == "armed":
-        armed(pilot.vehicle)
+        pilot.vehicle.begin_armed("Arming motors")  # forced by somebody else
     else:
         await pilot.client.request("cancel", CALIBRATE)
     final = await pilot.client.final(id_, 30.0)

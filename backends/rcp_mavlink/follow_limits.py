@@ -1,0 +1,145 @@
+"""Limits of a vehicle that follows, wherever its target goes: its speed limit and its fence."""
+
+from __future__ import annotations
+
+import math
+
+from rcp_kernel.errors import DeviceRejected, PreconditionFailed
+from rcp_mavlink.commands import Command, Commands
+from rcp_mavlink.enclosure import Enclosure, ahead
+from rcp_mavlink.fences import beyond, has_areas, is_united
+from rcp_mavlink.geo import shifted
+from rcp_mavlink.pace import Pace
+from rcp_mavlink.parameters import Parameters
+from rcp_mavlink.plans import FENCE, Plans
+from rcp_mavlink.speeds import SpeedLimit
+from rcp_mavlink.vehicle import Vehicle
+
+__all__ = ["FollowLimits", "LimitWatch"]
+
+_CHANGE_SPEED, _GROUND_SPEED = 178, 1.0
+_UNTIL_IT_BRAKES = 0.75  # s: the position's age, the period of the checks, and the command
+_BRAKING, _VERTICALLY = 2.5, 1.0  # m/s2
+_STANDING = 0.2  # m/s below which it goes nowhere
+_FENCED = "Fly back with action/move_to, and follow something inside the fence: see service/fence/download, param/FENCE_* or param/GF_*."
+
+
+class LimitWatch:
+    """What limits one vehicle while it follows."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        commands: Commands,
+        parameters: Parameters,
+        limit: SpeedLimit,
+        enclosure: Enclosure | None,
+    ) -> None:
+        self._vehicle, self._commands, self._parameters = vehicle, commands, parameters
+        self._limit, self._enclosure = limit, enclosure
+        self.speed = limit.usual
+        """The speed limit, m/s; None if it has none."""
+        self._pace = Pace(vehicle, self.speed, None)
+        self.fault: str | None = None
+        """Why it must not go on."""
+        self.fence: str | None = None
+        """The fence that is the reason."""
+
+    def check(self) -> None:
+        """See whether it keeps to its limits, and could still stop inside its fence; a fault stays."""
+        if self.fault is not None:
+            return
+        self._pace.update(there=False)
+        self.fence = self._left()
+        self.fault = (
+            self._pace.fault if self.fence is None else f"the target leads on: {self.fence}"
+        )
+
+    def refuse(self) -> None:
+        """Refuse to follow from outside the fence.
+
+        :raises DeviceRejected: it is there.
+        """
+        if (why := self._left()) is not None:
+            raise DeviceRejected(f"follow: {why}", remedy=_FENCED, details={"fence": why})
+
+    def failure(self, error: DeviceRejected) -> DeviceRejected:
+        """Return the error for a fault."""
+        more = {} if self.fence is None else {"fence": self.fence}
+        return DeviceRejected(
+            f"follow: {self.fault}; the vehicle was commanded to hold",
+            remedy=None if self.fence is None else _FENCED,
+            details={**(error.details or {}), **more},
+        )
+
+    async def keep_limit(self) -> None:
+        """Keep to a changed speed limit; PX4 reads its parameter all the time.
+
+        :raises RcpError: the vehicle does not change its speed.
+        """
+        usual = self._limit.usual
+        if usual == self.speed:
+            return
+        self.speed = usual
+        self._pace.request(usual)
+        if usual is not None and not self._vehicle.family.px4:
+            command = Command(_CHANGE_SPEED, (_GROUND_SPEED, usual, -1.0, 0.0))
+            await self._commands.send(command, f"follow: speed {usual:g} m/s")
+
+    def _left(self) -> str | None:
+        """Describe the fence that it cannot stop before, or has left."""
+        fix = self._vehicle.fix
+        if fix is None:  # the action ends by itself when it has been without one for long
+            return None
+        f = self._vehicle.latest["GLOBAL_POSITION_INT"].fields()
+        north, east, down = (f[name] / 100 for name in ("vx", "vy", "vz"))
+        speed = (north * north + east * east) ** 0.5
+        fastest = math.inf if self.speed is None else self.speed
+        left = ahead(speed, fastest, _UNTIL_IT_BRAKES, _BRAKING)
+        seconds = left / speed if speed > _STANDING else 0.0
+        place = shifted(north * seconds, east * seconds, (fix.lat, fix.lon))
+        height = fix.height - (
+            ahead(down, abs(down), _UNTIL_IT_BRAKES, _VERTICALLY) if down else 0.0
+        )
+        why = beyond(self._vehicle, self._parameters, place, height)
+        if (
+            why is None
+            and self._enclosure is not None
+            and has_areas(self._vehicle, self._parameters)
+        ):
+            why = self._enclosure.left(place)
+        return why
+
+
+class FollowLimits:
+    """The limits of one vehicle."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        commands: Commands,
+        parameters: Parameters,
+        limit: SpeedLimit,
+        plans: Plans,
+    ) -> None:
+        self._vehicle, self._commands, self._parameters = vehicle, commands, parameters
+        self._limit, self._plans = limit, plans
+
+    async def watch(self) -> LimitWatch:
+        """Read the fence, and begin to watch.
+
+        :raises RcpError: the fence cannot be read, or the vehicle is outside it.
+        """
+        vehicle, parameters, enclosure = self._vehicle, self._parameters, None
+        if has_areas(vehicle, parameters):
+            items = await self._plans.download(FENCE)
+            try:
+                enclosure = Enclosure(items, union=is_united(vehicle, parameters))
+            except ValueError as error:
+                raise PreconditionFailed(
+                    f"follow: an area of the fence on board {error}",
+                    remedy="Upload the fence anew: see service/fence/download.",
+                ) from None
+        watch = LimitWatch(vehicle, self._commands, parameters, self._limit, enclosure)
+        watch.refuse()
+        return watch
