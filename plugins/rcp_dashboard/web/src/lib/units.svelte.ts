@@ -25,7 +25,7 @@ const IMPERIAL: Record<string, Unit> = {
   Cel: { name: "°F", factor: 1.8, offset: 32 },
 };
 /** Units whose names people do not use. */
-const METRIC: Record<string, string> = { Cel: "°C", "m/s2": "m/s²" };
+const METRIC: Record<string, string> = { Cel: "°C", "Cel/s": "°C/s", "m/s2": "m/s²", "rad/s2": "rad/s²" };
 
 /** The units in which lengths, speeds, weights and temperatures are shown and typed. On the wire all are metric. */
 class Units {
@@ -59,7 +59,11 @@ class Units {
   }
 
   #of(unit: string): Unit | undefined {
-    return this.system === "imperial" && Object.hasOwn(IMPERIAL, unit) ? IMPERIAL[unit] : undefined;
+    if (this.system === "metric") return undefined;
+    if (Object.hasOwn(IMPERIAL, unit)) return IMPERIAL[unit];
+    // A rate of change: of a temperature, it has no zero to be counted from.
+    const base = unit.endsWith("/s") ? this.#of(unit.slice(0, -2)) : undefined;
+    return base && { name: `${base.name}/s`, factor: base.factor };
   }
 }
 
