@@ -6,7 +6,7 @@ import asyncio
 import csv
 import re
 from collections.abc import AsyncGenerator
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import pytest
@@ -123,12 +123,18 @@ async def test_a_joint_goes_where_it_was_told_to_in_feet(tab: Watched, lifter: W
     await goal.fill("0.5")
     await lift.get_by_role("button", name="Go").click()
     writes = lifter.robots["lifter"].writes
-    async with asyncio.timeout(60):
-        while ("actuator/lift", 0.1524) not in writes:
-            await asyncio.sleep(0.02)
+    await written(writes, 1)
     await lift.get_by_label(re.compile("^Step")).select_option(label="0.1 ft")
     await lift.get_by_label("lift plus 0.1 ft").click()  # from where it was measured
+    await written(writes, 2)
+    assert writes == [
+        ("actuator/lift", 0.1524),
+        ("actuator/lift", pytest.approx(0.1 + 0.03048)),
+    ]
+
+
+async def written(writes: list[tuple[str, Any]], count: int) -> None:
+    """Wait until so many values were written."""
     async with asyncio.timeout(60):
-        while len(writes) < 2:
+        while len(writes) < count:  # noqa: ASYNC110 - the robot only lists them
             await asyncio.sleep(0.02)
-    assert writes[1] == ("actuator/lift", pytest.approx(0.1 + 0.03048))
