@@ -216,6 +216,7 @@ async def stop(at: Photographer) -> None:
 
 async def above(at: Photographer) -> None:
     """Fly a copter to a goal over the tiles."""
+    await at.ask("/tenant/alpha/action/set_mode", {"mode": "GUIDED"}, wait=30)
     await at.ask("/tenant/alpha/action/arm", wait=30)
     await at.ask("/tenant/alpha/action/takeoff", {"altitude": HEIGHT}, wait=60)
     page = await at.open("map", 2)
@@ -242,6 +243,7 @@ async def mission(at: Photographer) -> None:
         items.append({"command": "NAV_WAYPOINT", "altitude": HEIGHT} | place)
     items.append({"command": "NAV_RETURN_TO_LAUNCH"})
     await at.ask("/tenant/alpha/action/mission/upload", {"items": items}, wait=30)
+    await at.ask("/tenant/alpha/action/set_mode", {"mode": "GUIDED"}, wait=30)
     await at.ask("/tenant/alpha/action/arm", wait=30)
     page = await at.open("map", 2)
     await page.get_by_test_id("plan").click()
