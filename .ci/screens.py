@@ -29,8 +29,8 @@ from configuration import backend, key, listener, table  # noqa: E402
 from docs.demo import demo  # noqa: E402
 from serving import ROVER, serving  # noqa: E402
 
+expect.set_options(timeout=120_000)  # ms
 DOCS = ROOT / "docs" / "dashboard"
-COLOURS = 256
 FLAGS = ["--no-sandbox", "--disable-dev-shm-usage"]
 FAULT = {"fault": "link_lost", "seconds": 60}
 DRAWN = """
@@ -90,11 +90,10 @@ class Photographer:
         await self.ask(f"/tenant/{tenant}/action/move_to", place, wait=wait)
 
     async def save(self, name: str) -> None:
-        """Keep what is seen, with as many colours as a person tells apart."""
-        shot = Image.open(io.BytesIO(await self.page.screenshot())).convert("RGB")
+        """Keep what is seen."""
         path = DOCS / f"{name}.png"
-        method = Image.Quantize.MAXCOVERAGE  # a green dot of few pixels stays green
-        shot.quantize(COLOURS, method, dither=Image.Dither.NONE).save(path, optimize=True)
+        shot = Image.open(io.BytesIO(await self.page.screenshot())).convert("RGB")
+        shot.save(path, optimize=True)
         print(f"{path.relative_to(ROOT)} {path.stat().st_size // 1000} kB")
 
 
@@ -156,7 +155,8 @@ async def scene(at: Photographer) -> None:
     canvas = page.get_by_role("application")
     for presses in ("+", "+", "ArrowLeft"):
         await canvas.press(presses)
-    await at.wait(5)
+    await canvas.blur()
+    await at.wait(2)
     await at.save("scene")
 
 
@@ -243,13 +243,13 @@ async def mission(at: Photographer) -> None:
         items.append({"command": "NAV_WAYPOINT", "altitude": HEIGHT} | place)
     items.append({"command": "NAV_RETURN_TO_LAUNCH"})
     await at.ask("/tenant/alpha/action/mission/upload", {"items": items}, wait=30)
-    await at.ask("/tenant/alpha/action/set_mode", {"mode": "GUIDED"}, wait=30)
-    await at.ask("/tenant/alpha/action/arm", wait=30)
     page = await at.open("map", 2)
     await page.get_by_test_id("plan").click()
     await expect(page.get_by_test_id("onboard")).to_contain_text("6 items")
     await at.wait(1)
     await page.get_by_role("button", name="Fit").click()
+    await at.ask("/tenant/alpha/action/set_mode", {"mode": "GUIDED"}, wait=30)
+    await at.ask("/tenant/alpha/action/arm", wait=30)
     async with held(page.get_by_role("button", name="Run the mission")):
         await expect(page.get_by_test_id("goal-status")).to_contain_text("running")
     await expect(page.get_by_text("Item 4 of 6")).to_be_visible()

@@ -96,7 +96,7 @@ async def test_a_plot_is_in_feet_its_link_and_its_table_in_metres(
     await expect(page.get_by_title("Axis range")).to_have_text("↕ 0 … 100")
     await expect(page).to_have_url(re.compile(re.escape("y%3D0..30.48")))
     await expect(page.get_by_text("CSV in metric units")).to_be_visible()
-    assert await table(page) == [{f"{RANGE} distance [m]": "3.048"}]
+    assert (await table(page))[-1] == {f"{RANGE} distance [m]": "3.048"}
     await page.get_by_label("What is drawn of distance").select_option("rate")
     tell(lifter)
     await expect(shown).to_have_text("0.0000 mph")

@@ -23,7 +23,7 @@ export interface Entry {
 const ERRORS = new Set(["emergency", "alert", "critical", "error", "fatal", "failed"]);
 const DONE = new Set(["ok", "accepted", "completed"]);
 /** Of an audit record: what stands in its line, and what is for who opens it. */
-const HIDDEN = new Set(["what", "principal", "outcome", "message", "request", "latches", "seq", "time", "path", "session", "roles", "proof", "id", "transport", "tenant"]);
+const HIDDEN = new Set(["what", "principal", "outcome", "message", "request", "latches", "seq", "time", "path", "session", "roles", "proof", "id", "transport", "tenant", "status", "command", "idempotency_key", "lease"]);
 vocabulary("denial", "login", "command", "lease", "approval", "start", "shutdown");
 
 /** What is said of a robot that moves again although it is stopped. */
