@@ -67,6 +67,7 @@ class Photographer:
 
     async def open(self, page: str, wait: float = 1.5) -> Page:
         """Show a page, and let it fill for so many seconds."""
+        await self.page.mouse.move(1, 1)  # over nothing that would answer to it
         await self.tab.open(page)
         await self.wait(wait)
         return self.page
