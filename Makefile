@@ -26,7 +26,7 @@ help:
 	@echo "make bench              run the benchmarks and print tables"
 	@echo "make constraints        write constraints.txt from the installed versions"
 	@echo "make picture            record docs/demo.svg from a running demo"
-	@echo "make screens            photograph the dashboard for its page of the documentation"
+	@echo "make screens [ARGS=...]  photograph the dashboard for its page of the documentation; ARGS names some pictures"
 	@echo "make site               build the documentation as a site into build/site, and check its links"
 	@echo "make release            build all packages into dist/, install each and drive a robot with it; uploads nothing"
 	@echo "make clean              remove .venv and all generated files"
@@ -65,7 +65,7 @@ picture: $(TEST)
 	$(BIN)/python .ci/picture.py
 
 screens: $(TEST)
-	$(BIN)/python .ci/screens.py
+	$(BIN)/python .ci/screens.py $(ARGS)
 
 site: $(TEST)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

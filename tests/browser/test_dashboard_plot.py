@@ -150,12 +150,12 @@ async def test_a_line_shows_its_rate_and_two_lines_are_drawn_over_each_other(tab
     page = tab.page
     await tab.open(f"plot?p={ACCELERATION}.x,{ACCELERATION}.z&span=10")
     shown = page.get_by_test_id("shown")
-    await expect(shown.first).to_contain_text("m/s2")
+    await expect(shown.first).to_contain_text("m/s²")
     await page.get_by_label("What is drawn of linear_acceleration.x").select_option("rate")
-    await expect(shown.first).to_have_text(re.compile(r"-?\d+\.\d+ m/s2/s"))
+    await expect(shown.first).to_have_text(re.compile(r"-?\d+\.\d+ m/s³"))
     await expect(page).to_have_url(re.compile("acceleration.x(~|%7E)rate"))
     await page.get_by_label("What is drawn of linear_acceleration.z").select_option("mean 5")
-    await expect(shown.last).to_have_text(re.compile(r"\d+\.\d+ m/s2$"))
+    await expect(shown.last).to_have_text(re.compile(r"\d+\.\d+ m/s²$"))
     await page.get_by_role("button", name="XY").click()
     await expect(page.get_by_test_id("xy")).to_have_attribute(
         "data-points", re.compile(r"[1-9]\d+")

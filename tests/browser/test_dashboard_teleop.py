@@ -157,6 +157,13 @@ async def test_a_drone_takes_off_climbs_by_key_and_lands_by_buttons(
 ) -> None:
     page = await take(tab, "drone-gamma")
     status, actions = page.get_by_test_id("action-status"), page.get_by_test_id("actions")
+    for stick in await page.get_by_test_id("stick").all():  # each mark where the stick leads to
+        marks = [
+            await stick.get_by_text(one, exact=True).bounding_box() for one in ("left", "right")
+        ]
+        assert marks[0] is not None
+        assert marks[1] is not None
+        assert marks[0]["x"] < marks[1]["x"]
     await until(robot, "/tenant/gamma/sensor/prearm", lambda found: found["ready"], FLIGHT)
     await actions.get_by_role("button", name="Mode").click()
     await expect(status).to_contain_text("Mode: completed")

@@ -61,6 +61,14 @@ _WORDS = """
 }
 """
 
+_GAPS = """
+() => {
+  const boxes = [...document.querySelectorAll("nav a, nav button")].filter((one) => one.checkVisibility())
+    .map((one) => { const range = document.createRange(); range.selectNodeContents(one.querySelector("span")); return range.getBoundingClientRect(); });
+  return boxes.slice(1).map((box, at) => box.left - boxes[at].right);
+}
+"""
+
 
 def translated() -> Iterator[tuple[str, str]]:
     """Read the texts of the catalogue that are another text in German, with it."""
@@ -198,6 +206,12 @@ async def test_on_a_phone_the_german_words_have_room(browser: Browser, running: 
         stop = await tab.page.get_by_test_id("stop-menu").bounding_box()
         assert stop is not None
         assert stop["x"] + stop["width"] <= 360
+        for page in ("", "explore", "parameters", "plot", "log", "people"):
+            await tab.open(page)
+            await expect(tab.page.locator("nav [aria-current]")).to_be_visible()
+            gaps: list[float] = await tab.page.evaluate(_GAPS)
+            assert len(gaps) >= 4
+            assert min(gaps) >= 4, page  # px: words that touch are read as one
 
 
 async def fetched(page: Page) -> list[str]:

@@ -2,7 +2,7 @@ import type { Resource } from "rcp-client";
 import { describe, expect, it } from "vitest";
 
 import { Entries, eventPatterns } from "../src/lib/entries.ts";
-import type { Entry } from "../src/lib/severity.ts";
+import { type Entry, entry } from "../src/lib/severity.ts";
 
 const event = (path: string, fields: string[]): Resource =>
   ({ path, kind: "event", operations: ["subscribe"], schemas: { value: { type: "object", properties: Object.fromEntries(fields.map((one) => [one, {}])) } } }) as unknown as Resource;
@@ -15,6 +15,21 @@ describe("events that the log asks for", () => {
   it("leave out raw frames of a bus, and go path by path in their tenant", () => {
     const all = [event("/tenant/alpha/event/can/main/frame", ["id", "data"]), event("/tenant/alpha/event/can/main/state", ["state"]), event("/tenant/beta/event/fault", ["fault"])];
     expect(eventPatterns(all)).toEqual(["/tenant/alpha/event/can/main/state", "/tenant/beta/event/**"]);
+  });
+});
+
+describe("texts of the log", () => {
+  const text = (source: "log" | "audit", body: unknown): string => entry(source, "", "", 1, body).text;
+
+  it("of an audit record say what was done by whom, and of a refusal why", () => {
+    const record = { what: "write", principal: "anna", outcome: "ok", message: "written.", id: "q-1", request: "write", transport: "ws", value: { x: 1 } };
+    expect(text("audit", record)).toBe("write by anna: ok (value {x 1})");
+    expect(text("audit", { ...record, what: "denial", outcome: "lease_held", message: "bert has control", value: null })).toBe("denial by anna: Someone else has control: bert has control");
+  });
+
+  it("of the gateway's log are free of the notation of its program", () => {
+    expect(text("log", { message: "halt_failed", facts: { backend: "far", error: `AdapterUnavailable("it's lost")` } })).toBe("far did not confirm its stop: it's lost");
+    expect(text("log", { message: "no_watchdog", facts: { vehicle: 1, missing: "['failsafe: off', 'guard: off']", robot: null } })).toBe("no watchdog vehicle 1  missing failsafe: off, guard: off");
   });
 });
 

@@ -55,6 +55,7 @@ describe("a line", () => {
 
   it("has a unit of its own where it shows a rate", () => {
     expect([unitShown("m", { what: "rate" }), unitShown("", { what: "rate" }), unitShown("m", { what: "mean", seconds: 1 })]).toEqual(["m/s", "1/s", "m"]);
+    expect(["m/s", "rad/s2", "Cel"].map((unit) => unitShown(unit, { what: "rate" }))).toEqual(["m/s2", "rad/s3", "Cel/s"]);
   });
 });
 

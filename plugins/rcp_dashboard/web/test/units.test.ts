@@ -1,6 +1,10 @@
 import { afterEach, describe, expect, it } from "vitest";
 
+import type { Resource } from "rcp-client";
+
+import { converted } from "../src/lib/converted.ts";
 import { bytes, clock, number, rounded, span, together } from "../src/lib/format.ts";
+import { digitsOf, type Joint, stepsOf, typedTarget } from "../src/lib/joints.ts";
 import { language } from "../src/lib/language.svelte.ts";
 import { rule } from "../src/lib/map/plane.ts";
 import { distance, height, measured, measuredAll, units } from "../src/lib/units.svelte.ts";
@@ -36,12 +40,58 @@ describe("units", () => {
     expect(units.meant(Number.NaN, "m")).toBeNaN();
   });
 
+  it("of a rate of change have no zero of their own", () => {
+    units.choose("imperial");
+    expect([units.name("Cel/s"), units.shown(1, "Cel/s"), units.meant(1.8, "Cel/s")]).toEqual(["°F/s", 1.8, 1]);
+    expect([units.name("rad/s"), units.name("1/s"), units.name("kg/s")]).toEqual(["rad/s", "1/s", "lb/s"]);
+  });
+
+  it("are those of each number of a value, and of nothing else in it", () => {
+    const schema = { properties: { at: { properties: { x: { type: "number", unit: "m" }, yaw: { type: "number", unit: "rad" } } }, heat: { type: "array", items: { type: "number", unit: "Cel" } } } };
+    const resource = { schemas: { value: schema } } as unknown as Resource;
+    const value = { at: { x: 3.048, yaw: 1 }, heat: [0, 100], name: "m", none: null, many: Array.from({ length: 40 }, () => 1) };
+    expect(converted(resource, value)).toBe(value);
+    units.choose("imperial");
+    const shown = converted(resource, value) as typeof value;
+    expect(shown.at.x).toBeCloseTo(10, 9);
+    expect(shown).toMatchObject({ at: { yaw: 1 }, heat: [32, 212], name: "m", none: null });
+    expect(shown.many).toBe(value.many);
+  });
+
   it("have a ruler of their own on the map", () => {
     expect(rule(55)).toEqual({ step: 50, words: "50 m" });
     units.choose("imperial");
     expect(rule(55).words).toBe("100 ft");
     expect(rule(55).step).toBeCloseTo(30.48, 6);
     expect(rule(5000).words).toBe("2 mi");
+  });
+});
+
+describe("joints", () => {
+  const lift: Joint = { field: "", name: "lift", least: 0, most: 0.3, unit: "m" };
+  const pan: Joint = { field: "", name: "pan", least: -2.8, most: 2.8, unit: "rad" };
+
+  it("are sent what was typed, as the actuator takes it", () => {
+    expect([typedTarget("0,3", lift), typedTarget("0.31", lift), typedTarget("", lift), typedTarget("up", lift)]).toEqual([0.3, undefined, undefined, undefined]);
+    units.choose("imperial");
+    expect([typedTarget("0.5", lift), typedTarget("1", lift), typedTarget("-0.01", lift)]).toEqual([0.1524, undefined, undefined]);
+    expect(typedTarget("-1.5", pan)).toBe(-1.5);
+  });
+
+  it("go to a bound that is typed as it is shown, and no further", () => {
+    units.choose("imperial");
+    const text = rounded(units.shown(0.3, "m"), digitsOf(lift)); // 0.984, and 0.98425 is meant
+    expect(typedTarget(text, lift)).toBeCloseTo(0.3, 3);
+    const drive: Joint = { field: "", name: "slide", least: -0.5, most: 0.5, unit: "m/s" };
+    expect(typedTarget("1.12", drive)).toBe(0.5); // 1.1185 mph
+    expect(typedTarget("1.13", drive)).toBeUndefined();
+  });
+
+  it("have round steps, and decimals, for the unit that is shown", () => {
+    expect([stepsOf([lift]), digitsOf(lift), digitsOf(pan)]).toEqual([[0.0005, 0.005, 0.05], 3, 2]);
+    units.choose("imperial");
+    expect(stepsOf([lift])).toEqual([0.002, 0.02, 0.1]);
+    expect(stepsOf([pan])).toEqual([0.01, 0.1, 0.5]);
   });
 });
 

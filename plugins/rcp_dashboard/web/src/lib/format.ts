@@ -9,6 +9,11 @@ export function scientific(value: number): string {
   return local(value.toExponential(2));
 }
 
+/** A number that somebody set, with the digits that it was given. */
+export function asSet(value: number): string {
+  return local(String(value));
+}
+
 /** Numbers beside each other: commas do not part those that have commas of their own. */
 export function together(numbers: string[]): string {
   return numbers.join(language.comma ? "; " : ", ");

@@ -1,6 +1,7 @@
 import type { Resource, Schema } from "rcp-client";
 
 import { main, resolve } from "./schema.ts";
+import { units } from "./units.svelte.ts";
 
 /** One number that an actuator takes, between bounds. */
 export interface Joint {
@@ -44,9 +45,29 @@ export function jointsOf(resource: Resource): Joints | undefined {
   return kind === "speed" && resource.safe === undefined ? undefined : { resource, kind, joints: found as Joint[] };
 }
 
-/** Round steps for jogging: about 1/500, 1/50 and 1/10 of the widest range. */
+/** From end to end, in the unit that is shown. */
+const rangeOf = ({ least, most, unit }: Joint): number => units.shown(most, unit) - units.shown(least, unit);
+
+/** With how many decimals a place of a joint is told: a gripper moves by less than an arm. */
+export function digitsOf(joint: Joint): number {
+  const range = rangeOf(joint);
+  return range >= 1 ? 2 : range >= 0.1 ? 3 : 4;
+}
+
+/** Where a joint is to go that is typed in the unit that is shown: as the actuator takes it, within what it takes. */
+export function typedTarget(text: string, joint: Joint): number | undefined {
+  const found = Number(text.trim().replace(",", "."));
+  if (text.trim() === "" || !Number.isFinite(found)) return undefined;
+  const [least, most] = [units.shown(joint.least, joint.unit), units.shown(joint.most, joint.unit)];
+  // A bound may be typed as it is shown, which is rounded.
+  const near = 0.5 * 10 ** -digitsOf(joint) + 1e-9;
+  if (found < least - near || found > most + near) return undefined;
+  return Math.min(joint.most, Math.max(joint.least, units.meant(found, joint.unit)));
+}
+
+/** Round steps for jogging, in the unit that is shown: about 1/500, 1/50 and 1/10 of the widest range. */
 export function stepsOf(joints: Joint[]): number[] {
-  const range = Math.max(...joints.map(({ least, most }) => most - least));
+  const range = Math.max(...joints.map(rangeOf));
   return [500, 50, 10].map((parts) => {
     const size = range / parts;
     const unit = 10 ** Math.floor(Math.log10(size));

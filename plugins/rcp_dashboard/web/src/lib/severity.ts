@@ -1,5 +1,6 @@
-import { say } from "./language.svelte.ts";
+import { say, vocabulary } from "./language.svelte.ts";
 import { brief } from "./format.ts";
+import { errorWord } from "./words.ts";
 
 /** How bad an entry is, the least first. */
 export const LEVELS = ["info", "warning", "error"] as const;
@@ -21,7 +22,9 @@ export interface Entry {
 
 const ERRORS = new Set(["emergency", "alert", "critical", "error", "fatal", "failed"]);
 const DONE = new Set(["ok", "accepted", "completed"]);
-const HIDDEN = new Set(["what", "principal", "outcome", "latches", "seq", "time", "path", "session", "roles", "proof"]);
+/** Of an audit record: what stands in its line, and what is for who opens it. */
+const HIDDEN = new Set(["what", "principal", "outcome", "message", "request", "latches", "seq", "time", "path", "session", "roles", "proof", "id", "transport", "tenant", "status", "command", "idempotency_key", "lease"]);
+vocabulary("denial", "login", "command", "lease", "approval", "start", "shutdown");
 
 /** What is said of a robot that moves again although it is stopped. */
 export function alarmText(robot: string, detail: string | undefined): string {
@@ -39,16 +42,29 @@ function levelOf(source: Source, path: string, body: any): Level {
   return /failsafe|overflow/.test(path) ? "warning" : "info";
 }
 
+/** The words of an error that was written as the program has it. */
+const plainly = (error: unknown): string => /^\w+\((["'])(.*)\1\)$/s.exec(String(error))?.[2] ?? String(error);
+
+/** A list of texts that was written as the program has it, as one text. */
+const listed = (text: string): string => (/^\['.*'\]$/s.test(text) ? text.slice(2, -2).replaceAll("', '", ", ") : text);
+
 function textOf(source: Source, body: any): string {
   if (source === "log") {
     const { backend, state, detail, ...rest } = body.facts ?? {};
     if (body.message === "moves_under_estop") return alarmText(backend, detail);
+    if (body.message === "halt_failed" && rest["error"] !== undefined) return `${backend} did not confirm its stop: ${plainly(rest["error"])}`;
     if (backend && state) return `${backend} is ${state}${detail ? `: ${detail}` : ""}`;
-    return `${String(body.message).replaceAll("_", " ")} ${brief(backend ? { backend, ...rest } : (body.facts ?? {}), 120)}`.trim();
+    const facts = Object.entries(backend ? { backend, ...rest } : (body.facts ?? {})).filter(([, value]) => value !== null && value !== "None");
+    const written = facts.map(([key, value]) => [key, typeof value === "string" ? listed(value) : value]);
+    return `${String(body.message).replaceAll("_", " ")} ${facts.length ? brief(Object.fromEntries(written), 120) : ""}`.trim();
   }
   if (source === "audit") {
     const facts = Object.entries(body).filter(([key, value]) => !HIDDEN.has(key) && value !== null);
-    return `${body.what} by ${body.principal}: ${body.outcome}  ${brief(Object.fromEntries(facts), 100)}`;
+    const outcome = DONE.has(body.outcome) ? say(body.outcome) : errorWord(body.outcome);
+    const told = `${say(String(body.what).replaceAll("_", " "))} by ${body.principal}: ${outcome}`;
+    const more = facts.length ? ` (${brief(Object.fromEntries(facts), 100)})` : "";
+    // What went well is told by its kind.
+    return `${told}${body.message && !DONE.has(body.outcome) ? `: ${brief(body.message, 200)}` : ""}${more}`;
   }
   return `${body?.active === false ? say("cleared: ") : ""}${brief(body?.message ?? body?.text ?? body, 300)}`;
 }

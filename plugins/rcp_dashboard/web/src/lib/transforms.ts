@@ -35,7 +35,9 @@ export function written({ path, field }: Line, shown: Shown): string {
 
 /** The unit of what is drawn of a field that has a unit, or none. */
 export function unitShown(unit: string, shown: Shown): string {
-  return shown.what === "rate" ? `${unit || "1"}/s` : unit;
+  if (shown.what !== "rate") return unit;
+  const per = /^(.*\/s)([23]?)$/.exec(unit);
+  return per ? `${per[1]}${Number(per[2] || 1) + 1}` : `${unit || "1"}/s`;
 }
 
 /** How much before a span is needed to draw what is shown of it, in s. */

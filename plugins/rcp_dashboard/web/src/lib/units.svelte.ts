@@ -21,11 +21,12 @@ const IMPERIAL: Record<string, Unit> = {
   "m/s": { name: "mph", factor: 3.6 / 1.609344 },
   "km/h": { name: "mph", factor: 1 / 1.609344 },
   "m/s2": { name: "ft/s²", factor: 1 / 0.3048 },
+  "m/s3": { name: "ft/s³", factor: 1 / 0.3048 },
   kg: { name: "lb", factor: 1 / 0.45359237 },
   Cel: { name: "°F", factor: 1.8, offset: 32 },
 };
 /** Units whose names people do not use. */
-const METRIC: Record<string, string> = { Cel: "°C", "m/s2": "m/s²" };
+const METRIC: Record<string, string> = { Cel: "°C", "Cel/s": "°C/s", "m/s2": "m/s²", "m/s3": "m/s³", "rad/s2": "rad/s²", "rad/s3": "rad/s³" };
 
 /** The units in which lengths, speeds, weights and temperatures are shown and typed. On the wire all are metric. */
 class Units {
@@ -59,7 +60,11 @@ class Units {
   }
 
   #of(unit: string): Unit | undefined {
-    return this.system === "imperial" && Object.hasOwn(IMPERIAL, unit) ? IMPERIAL[unit] : undefined;
+    if (this.system === "metric") return undefined;
+    if (Object.hasOwn(IMPERIAL, unit)) return IMPERIAL[unit];
+    // A rate of change: of a temperature, it has no zero to be counted from.
+    const base = unit.endsWith("/s") ? this.#of(unit.slice(0, -2)) : undefined;
+    return base && { name: `${base.name}/s`, factor: base.factor };
   }
 }
 

@@ -4,8 +4,8 @@ import { declutter } from "../labels.ts";
 import type { Body } from "./body.ts";
 import { FrameMark, Name, sides } from "./layers.ts";
 import type { View } from "./view.ts";
+import { NAME_LINE } from "./words.ts";
 
-const HEIGHT = 0.022; // of a name, of the height of the view
 const ROBOT = 1.25; // how much larger the name of a robot is
 
 /** The frames of all robots with their names, and the names of robots where there are several. */
@@ -43,7 +43,7 @@ export class Names {
       this.#view.add(found.object);
     }
     found.object.position.setFromMatrixPosition(at);
-    found.fit(HEIGHT * ROBOT * this.#view.tall);
+    found.fit(NAME_LINE * ROBOT * this.#view.pixel);
     found.object.updateMatrixWorld();
     return found;
   }
@@ -60,7 +60,7 @@ export class Names {
     if (!at) return;
     mark.object.matrix.copy(at);
     mark.object.matrixWorldNeedsUpdate = true;
-    mark.name.fit(HEIGHT * this.#view.tall);
+    mark.name.fit(NAME_LINE * this.#view.pixel);
     mark.object.updateMatrixWorld();
     names.set(key, mark.name);
   }

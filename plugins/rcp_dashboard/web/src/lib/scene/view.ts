@@ -36,6 +36,7 @@ export class View {
   #controls!: OrbitControls;
   #middle = new Vector3();
   #dirty = true;
+  #high = 1; // pixels
   #frame = 0;
   readonly #observer: ResizeObserver;
   readonly #box: HTMLElement;
@@ -84,6 +85,11 @@ export class View {
   /** How high the view is: in metres, or at a distance of one metre. */
   get tall(): number {
     return this.mode === "2d" ? (2 * REACH) / this.#flat.zoom : 2 * Math.tan((this.#deep.fov * Math.PI) / 360);
+  }
+
+  /** How high a pixel is, as `tall`. */
+  get pixel(): number {
+    return this.tall / this.#high;
   }
 
   changed(): void {
@@ -188,6 +194,7 @@ export class View {
   #fit(): void {
     const { clientWidth: width, clientHeight: height } = this.#box;
     if (width === 0 || height === 0) return;
+    this.#high = height;
     this.#renderer.setSize(width, height);
     const wide = width / height;
     Object.assign(this.#flat, { left: -REACH * wide, right: REACH * wide, top: REACH, bottom: -REACH });
