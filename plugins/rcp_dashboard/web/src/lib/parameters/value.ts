@@ -1,5 +1,6 @@
 /** Values of parameters: as text, from text, and whether two are the same. */
 import { faults, numberOf, parse } from "../schema.ts";
+import { pointed } from "../typed.ts";
 import type { Parameter } from "./parameter.ts";
 
 const FEWEST = 6; // digits of a number of 32 bits
@@ -52,7 +53,7 @@ function valueOf({ entry }: Parameter, text: string): Entered {
   if (entry === "text") return { value: text };
   if (text.trim() === "") return { fault: "Enter a value." };
   if (entry === "boolean") return text === "true" || text === "false" ? { value: text === "true" } : { fault: "Enter true or false." };
-  if (entry === "number" || entry === "integer") return { value: numberOf(text.trim()) };
+  if (entry === "number" || entry === "integer") return { value: numberOf(pointed(text)) };
   try {
     return { value: parse(text) };
   } catch {
