@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncGenerator
 from typing import Any
 
@@ -15,7 +16,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.types import quantity
 
 pytestmark = pytest.mark.anyio
-expect.set_options(timeout=8_000)  # ms
+expect.set_options(timeout=60_000)  # ms
 ROBOT = "/tenant/alpha"
 UP = "action/takeoff"
 _HOME = {"latitude": 47.0, "longitude": 8.0}
@@ -91,7 +92,6 @@ async def german(browser: Browser, gateway: World) -> AsyncGenerator[Watched]:
         await dialog.get_by_label("Schlüssel oder Token").fill(KEY)
         await dialog.get_by_role("button", name="Anmelden").click()
         await dialog.wait_for(state="detached")
-        tab.page.set_default_timeout(6000)
         yield tab
 
 
@@ -108,6 +108,14 @@ async def enter(box: Locator, text: str) -> None:
     await box.click()
     await box.press("ControlOrMeta+a")
     await box.press_sequentially(text)
+
+
+async def planning(tab: Watched) -> None:
+    """Open the plan of the copter, on a map that begins anew."""
+    await tab.open("log")
+    await tab.open("map")
+    await tab.page.get_by_test_id("plan").click()
+    await expect(tab.page.get_by_test_id("onboard")).to_contain_text("Im Fahrzeug")
 
 
 async def test_a_height_with_a_comma_is_that_height(german: Watched, robot: Teller) -> None:
@@ -131,8 +139,7 @@ async def test_a_height_with_a_comma_is_that_height(german: Watched, robot: Tell
 
 async def test_a_mission_and_a_fence_get_what_was_typed(german: Watched, robot: Teller) -> None:
     page = german.page
-    await german.open("map")
-    await page.get_by_test_id("plan").click()
+    await planning(german)
     await enter(page.get_by_label("Höhe neuer Wegpunkte"), "12,5")
     await page.get_by_role("button", name="+ Wegpunkt").click()
     altitude = page.get_by_label("Höhe von Eintrag 1")
@@ -150,8 +157,7 @@ async def test_a_place_of_a_fence_that_is_no_number_is_not_shown_as_if_it_were_k
     german: Watched, robot: Teller
 ) -> None:
     page = german.page
-    await german.open("map")
-    await page.get_by_test_id("plan").click()
+    await planning(german)
     await page.get_by_role("button", name="Geofence", exact=True).click()
     await page.get_by_role("button", name="+ Kreis").click()
     radius = page.get_by_label("Radius von Bereich 1")
@@ -199,5 +205,26 @@ async def test_a_joint_goes_where_a_comma_says(german: Watched, robot: Teller) -
     await expect(go).to_be_disabled()
     await enter(target, "-1,5")
     await go.click()
-    await expect(page.get_by_test_id("actions")).to_be_visible()
+    async with asyncio.timeout(60):
+        while not robot.writes:  # noqa: ASYNC110 - the robot tells nobody
+            await asyncio.sleep(0.02)
     assert robot.writes == [("actuator/elbow", -1.5)]
+
+
+async def test_other_units_begin_with_what_was_not_typed_in_the_units_before(
+    german: Watched, robot: Teller
+) -> None:
+    page = german.page
+    await german.open("teleop?robot=copter")
+    actions = page.get_by_test_id("actions")
+    box = actions.get_by_role("textbox")
+    await enter(box, "30")
+    await page.get_by_test_id("preferences").click()
+    await page.get_by_role("combobox", name="Einheiten").select_option("imperial")
+    await expect(box).to_have_value("32,81")
+    await enter(box, "100")
+    await actions.get_by_role("button").hover()
+    await page.mouse.down()
+    await expect(page.get_by_test_id("action-status")).to_contain_text("abgeschlossen")
+    await page.mouse.up()
+    assert [value.altitude for _, value in robot.ran] == [30.48]
