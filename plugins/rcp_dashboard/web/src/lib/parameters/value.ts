@@ -1,6 +1,6 @@
 /** Values of parameters: as text, from text, and whether two are the same. */
 import { faults, numberOf, parse } from "../schema.ts";
-import { pointed } from "../typed.ts";
+import { boxed, pointed } from "../typed.ts";
 import type { Parameter } from "./parameter.ts";
 
 const FEWEST = 6; // digits of a number of 32 bits
@@ -67,8 +67,8 @@ function numberFault({ entry, low, high, schema }: Parameter, value: unknown): s
   if (typeof value !== "number") return faults(value, schema).length ? "Enter a number." : undefined;
   if (entry === "integer" && !Number.isInteger(value)) return "Enter a whole number.";
   if ((low === undefined || value >= low) && (high === undefined || value <= high)) return undefined;
-  if (low === undefined) return `Enter a number of at most ${high}.`;
-  return high === undefined ? `Enter a number of at least ${low}.` : `Enter a number from ${low} to ${high}.`;
+  if (low === undefined) return `Enter a number of at most ${boxed(high as number)}.`;
+  return high === undefined ? `Enter a number of at least ${boxed(low)}.` : `Enter a number from ${boxed(low)} to ${boxed(high)}.`;
 }
 
 /** Whether a value is beyond what the makers recommend. */
