@@ -64,7 +64,7 @@ async def gateway() -> AsyncGenerator[World]:
     async with world({"copter": ("alpha", _RESOURCES)}) as made:
         robot = made.robots["copter"]
         plans: dict[str, Any] = {"mission": Plan([]), "fence": Plan([])}
-        for what in plans:
+        for what in ("mission", "fence"):
 
             async def upload(value: Any, progress: Any, what: str = what) -> None:
                 plans[what] = value
