@@ -254,3 +254,30 @@ async def test_names_on_the_map_do_not_cover_each_other(site: Site) -> None:
             await site.tab.page.get_by_role("button", name="Fit").click()
         await expect(canvas).to_have_attribute("data-named", names)
         await site.tab.shoot(f"map-names-{names}")
+
+
+async def test_a_transform_that_is_no_place_is_named_and_the_next_one_is_drawn(site: Site) -> None:
+    await site.tab.open("scene?robot=eyes")
+    page = site.tab.page
+
+    def stand(x: float) -> None:
+        place = {"translation": {"x": x, "y": 0.0, "z": 0.0}}
+        link = {"header": {"frame_id": "map"}, "child_frame_id": "base_link", "transform": place}
+        site.tell("eyes", "frames", transforms=[link])
+
+    stand(math.nan)
+    wrong = page.get_by_test_id("layers").locator(".bad")
+    await expect(wrong).to_contain_text("base_link: its pose has something that is not a number")
+    stand(3.0)
+    await expect(page.get_by_test_id("where")).to_contain_text("3.00, 0.00 m")
+    await expect(wrong).to_have_count(0)
+
+
+async def test_a_robot_that_has_gone_leaves_nothing_behind(site: Site) -> None:
+    await site.scene("marks")
+    row = layer(site.tab, "markers", "/sensor/markers")
+    site.tell("marks", "markers", markers=[mark(1, 0, 4, RED)])
+    await listed(row, 1)
+    site.gateway.robots["marks"].remove("sensor/markers", "sensor/pose")
+    await expect(row).to_have_count(0)
+    await expect(site.tab.page.get_by_test_id("where")).to_be_empty()

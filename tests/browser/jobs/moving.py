@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 
 from playwright.async_api import expect
 
@@ -13,6 +12,7 @@ from browser.jobs.site import ARM, DRONE, ROVER, Site
 from browser.robots import speed
 
 ODOMETRY = f"{ROVER}/sensor/odometry"
+METRE = 1e-5  # degrees, about
 FLIGHT = 90_000  # ms, where the machine is busy
 
 
@@ -106,11 +106,19 @@ async def drive(hands: Hands, site: Site) -> None:
 async def move_joint(hands: Hands, site: Site) -> None:
     page = hands.page
     await take(hands, "arm")
-    elbow = f"{ARM}/sensor/elbow"
-    begun = (await site.value(elbow))["position"]
-    async with hands.held(page.get_by_role("button", name=re.compile("^elbow plus"))):
-        await site.until(elbow, lambda told: told["position"] > begun)
+    await hands.write(page.get_by_label("Target of elbow"), "0.5")
+    for name, place in (("Hold to go", 0.5), ("elbow plus", 0.05), ("elbow minus", -0.05)):
+        await expect(page.get_by_title("Measured")).to_contain_text("is 0.00")
+        async with hands.held(page.get_by_role("button", name=name)):
+            await elbow_at(site, place)
+        await elbow_at(site, 0.0)  # where it is safe
     await give(hands, site)
+
+
+async def elbow_at(site: Site, place: float) -> None:
+    await site.until(
+        f"{ARM}/sensor/elbow", lambda told: math.isclose(told["position"], place, abs_tol=1e-9)
+    )
 
 
 @job("Arm a drone, take off and land")
@@ -127,6 +135,8 @@ async def fly(hands: Hands, site: Site) -> None:
     async with hands.held(actions.get_by_role("button", name="Take off")):
         await expect(status).to_contain_text("Take off:")
     await expect(status).to_contain_text("Take off: completed", timeout=FLIGHT)
+    height = (await site.value(f"{DRONE}/sensor/position/global"))["relative_alt"]
+    assert abs(height - 2) < 1, height
     await hands.press(actions.get_by_role("button", name="Land"))
     await expect(status).to_contain_text("Land: completed", timeout=FLIGHT)
     await give(hands, site)
@@ -144,7 +154,7 @@ async def go_to(hands: Hands, site: Site) -> None:
     await hands.point(chart, 1)
     await expect(page.get_by_test_id("goal-status")).to_contain_text("completed")
     after = await site.value(f"{DRONE}/sensor/position/global")
-    assert after["lon"] > before["lon"]
+    assert after["lon"] > before["lon"] + METRE, (before, after)
 
 
 @job("Send a robot to a place in its scene")
@@ -184,6 +194,8 @@ async def plan_mission(hands: Hands, site: Site) -> None:
     await expect(page.get_by_test_id("onboard")).to_contain_text("3 items")
     stored = (await site.ask(f"{DRONE}/service/mission/download"))["items"]
     assert [one["command"] for one in stored] == ["NAV_TAKEOFF", "NAV_WAYPOINT", "NAV_WAYPOINT"]
+    first, second = stored[1:]
+    assert second["latitude"] > first["latitude"] + METRE, stored
     await site.ask(f"{DRONE}/service/mission/clear")
 
 
@@ -195,4 +207,7 @@ async def plan_fence(hands: Hands, site: Site) -> None:
     await expect(page.get_by_test_id("onboard")).to_contain_text("1 area")
     stored = (await site.ask(f"{DRONE}/service/fence/download"))["items"]
     assert [one["command"] for one in stored] == ["NAV_FENCE_POLYGON_VERTEX_INCLUSION"] * 3
+    north, south, west = stored
+    assert north["latitude"] > south["latitude"] + METRE, stored
+    assert south["longitude"] > west["longitude"] + METRE, stored
     await site.ask(f"{DRONE}/service/fence/upload", {"items": []})

@@ -59,7 +59,9 @@ async def find_robot(hands: Hands, site: Site) -> None:
 async def look_through_camera(hands: Hands, site: Site) -> None:
     await hands.go("Camera")
     await hands.choose(hands.page.get_by_role("combobox", name="Robot"), "rover")
-    await expect(hands.page.get_by_test_id("camera")).to_have_attribute("data-stale", "false")
+    camera = hands.page.get_by_test_id("camera")
+    await expect(camera).to_have_attribute("data-frames", re.compile(r"\d"))
+    await expect(camera).to_have_attribute("data-stale", "false")
 
 
 @job("Watch a command and cancel it")
@@ -90,6 +92,9 @@ async def approve(hands: Hands, site: Site) -> None:
     await expect(asked).to_contain_text(str(limit))
     await hands.press(asked.locator("button[aria-disabled=false]", has_text="Approve"))
     await expect(asked).to_have_count(0)
+    granted = message | {"approval": answer["error"]["details"]["approval"]}
+    answer = (await site.clients["lena"].post("/rcp/v1/messages", json=granted)).json()
+    assert site.arm.values["param/limit"] == limit, answer
 
 
 @job("Acknowledge an alarm")
@@ -115,7 +120,10 @@ async def plot(hands: Hands, site: Site) -> None:
         await hands.write(page.get_by_label("Path"), words)
         await hands.press(page.locator(".found button").first)
         await hands.press(page.locator(".fields").get_by_role("button").first)
-    await expect(page.get_by_test_id("chart")).to_have_count(2)
+    charts = page.get_by_test_id("chart")
+    await expect(charts).to_have_count(2)
+    for chart in await charts.all():
+        await expect(chart.get_by_test_id("shown")).to_contain_text(re.compile(r"\d"))
 
 
 @job("Look back at an incident")

@@ -1,7 +1,8 @@
 import { describe, expect, it } from "vitest";
 
 import { stepsOf } from "../src/lib/joints.ts";
-import { blank, missing, numberOf } from "../src/lib/schema.ts";
+import { language } from "../src/lib/language.svelte.ts";
+import { blank, faults, missing, numberOf } from "../src/lib/schema.ts";
 
 const GOAL = {
   type: "object",
@@ -45,6 +46,20 @@ describe("what is missing", () => {
     const schema = { type: "object", properties: { at: GOAL.$defs.Point } };
     expect(missing({}, schema, schema)).toEqual([]);
     expect(missing({ at: {} }, schema, schema)).toHaveLength(2);
+  });
+});
+
+describe("what is wrong with a number", () => {
+  const told = (value: unknown, schema: object): string[] => faults(value, schema).map((one) => one.message);
+
+  it("is told in words, with the limit as the language writes it", async () => {
+    expect(told("1,5", { type: "number" })).toEqual(["Enter a number."]);
+    expect(told(1.5, { type: "integer" })).toEqual(["Enter a whole number."]);
+    expect([...told(3, { maximum: 2.5 }), ...told(-3, { minimum: -2.5 })]).toEqual(["Enter a number of at most 2.5.", "Enter a number of at least -2.5."]);
+    expect([...told(0, { exclusiveMinimum: 0 }), ...told(1e-7, { exclusiveMaximum: 1e-7 })]).toEqual(["Enter a number above 0.", "Enter a number below 1e-7."]);
+    await language.choose("de");
+    expect(told(3, { maximum: 2.5 })).toEqual(["Enter a number of at most 2,5."]);
+    await language.choose("en");
   });
 });
 

@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 
 import { type Geo, toGeo } from "../src/lib/geo.ts";
 import { checkFence, checkMission, crossed, lengthOf, outside, within } from "../src/lib/map/check.ts";
-import { drives, heightFor, numberIn } from "../src/lib/map/kinds.ts";
+import { drives, heightFor } from "../src/lib/map/kinds.ts";
 import { type Area, EMPTY, type Fence, fenceOf, type Item, itemsOf, moved, placeFor, sideFor, waypoint, wayOf, whole } from "../src/lib/map/items.ts";
 import { Plane } from "../src/lib/map/plane.ts";
 import { styleOf, wordsOf } from "../src/lib/map/style.ts";
@@ -138,8 +138,6 @@ describe("checks", () => {
     expect(told([waypoint(HOME, heightFor("copter", null))])[0]).toBe("✕ 1 (Waypoint) needs a place and a height.");
     expect([heightFor(undefined, 7), heightFor("boat", 7), heightFor("boat", null), heightFor("sub", -3)]).toEqual([7, 0, 0, -3]);
     expect(["rover", "boat", "sub", "copter", undefined].map(drives)).toEqual([true, true, false, false, false]);
-    const box = (value: string, badInput: boolean): number | null => numberIn({ value, validity: { badInput } });
-    expect([box("", false), box("", true), box("-2.5", false)]).toEqual([null, NaN, -2.5]);
   });
 
   it("tell of a fence that is empty or not known", () => {
@@ -153,6 +151,7 @@ describe("checks", () => {
     expect(crossed(square(50))).toBe(false);
     expect(checkFence(fence({ inside: true, corners: [a, b] }))[0]!.text).toContain("needs three corners");
     expect(checkFence(fence({ inside: true, corners: [a], radius: 0 }))[0]!.text).toContain("no radius");
+    expect(checkFence(fence({ inside: true, corners: [a, b, { ...c, latitude: 4737 }] }))[0]).toEqual({ wrong: true, text: "Area 1 is at no place on Earth." });
     expect(checkFence(fence(square(50, true, 200, 0)), [{ name: "Home", at: HOME }])).toEqual([{ wrong: false, text: "Home is outside the fence." }]);
     expect(within(square(50), at(49, 49))).toBe(true);
     expect(outside(fence(square(50), square(90, true, 30, 0)), at(-49, 0))).toBeUndefined();

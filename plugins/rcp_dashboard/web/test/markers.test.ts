@@ -56,6 +56,8 @@ describe("markers", () => {
     [{ action: 7 }, "unknown action 7"],
     [{ pose: { position: { x: NaN, y: 0, z: 0 } } }, "its pose has something that is not a number"],
     [{ pose: { position: { x: 0, y: 0, z: 0 }, orientation: { x: 0, y: 0, z: 0, w: "NaN" } } }, "its pose has something"],
+    [{ pose: { position: { x: 1e300, y: 0, z: 0 } } }, "or is too far away"],
+    [{ scale: { x: 1e300, y: 1, z: 1 } }, "or is too large"],
     [{ scale: { x: 1, y: -1, z: 1 } }, "its scale is negative"],
     [{ scale: { x: 1, y: 0, z: 1 } }, "its scale is zero in y"],
     [{ scale: { x: Infinity, y: 1, z: 1 } }, "its scale has something"],
@@ -82,7 +84,7 @@ describe("markers", () => {
 
   it("tell what of them is left out", () => {
     const store = took(
-      cube({ type: 8, points: [...points(2), { x: NaN, y: 0, z: 0 }] }),
+      cube({ type: 8, points: [...points(2), { x: 1e300, y: 0, z: 0 }] }),
       cube({ id: 2, color: { r: 1, g: 1, b: 1, a: 0 } }),
       cube({ id: 3, type: 8, points: points(3), colors: [WHITE] }),
     );

@@ -4,6 +4,11 @@ import { language, say } from "./language.svelte.ts";
 /** A number as the language writes it. For people: what is read again, by the page or by others, has a point. */
 const local = (text: string): string => (language.comma ? text.replace(".", ",") : text);
 
+/** A whole number, with thousands apart. */
+export function amount(count: number): string {
+  return count.toLocaleString(language.locale);
+}
+
 /** A number of any size. */
 export function scientific(value: number): string {
   return local(value.toExponential(2));

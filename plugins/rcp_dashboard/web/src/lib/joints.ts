@@ -1,6 +1,7 @@
 import type { Resource, Schema } from "rcp-client";
 
 import { main, resolve } from "./schema.ts";
+import { numberTyped } from "./typed.ts";
 import { units } from "./units.svelte.ts";
 
 /** One number that an actuator takes, between bounds. */
@@ -56,8 +57,8 @@ export function digitsOf(joint: Joint): number {
 
 /** Where a joint is to go that is typed in the unit that is shown: as the actuator takes it, within what it takes. */
 export function typedTarget(text: string, joint: Joint): number | undefined {
-  const found = Number(text.trim().replace(",", "."));
-  if (text.trim() === "" || !Number.isFinite(found)) return undefined;
+  const found = numberTyped(text);
+  if (Number.isNaN(found)) return undefined;
   const [least, most] = [units.shown(joint.least, joint.unit), units.shown(joint.most, joint.unit)];
   // A bound may be typed as it is shown, which is rounded.
   const near = 0.5 * 10 ** -digitsOf(joint) + 1e-9;

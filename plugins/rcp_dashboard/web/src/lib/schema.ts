@@ -1,6 +1,8 @@
 import { Validator } from "@cfworker/json-schema";
 import type { Resource, Schema } from "rcp-client";
 
+import { boxed } from "./typed.ts";
+
 /** A part of a schema with its references resolved against the whole. */
 export function resolve(schema: Schema, root: Schema): Schema {
   let found = schema;
@@ -119,8 +121,19 @@ export function faults(value: unknown, schema: Schema): Fault[] {
   const leaves = result.errors.filter((error) => !["properties", "$ref", "anyOf", "items", "allOf", "oneOf"].includes(error.keyword));
   const seen = new Set<string>();
   return (leaves.length ? leaves : result.errors)
-    .map((error) => ({ pointer: error.instanceLocation.replace(/^#/, ""), message: error.error }))
+    .map((error) => ({ pointer: error.instanceLocation.replace(/^#/, ""), message: inWords(error) }))
     .filter(({ pointer, message }) => !seen.has(pointer + message) && seen.add(pointer + message));
+}
+
+/** What is wrong with a number in words; the rest is told as the checker tells it. */
+function inWords({ keyword, error }: { keyword: string; error: string }): string {
+  const bound = boxed(Number(/ ([-+.e\d]+)\.$/.exec(error)?.[1]));
+  if (keyword === "type" && error.endsWith('Expected "number".')) return "Enter a number.";
+  if (keyword === "type" && error.endsWith('Expected "integer".')) return "Enter a whole number.";
+  if (keyword === "minimum") return `Enter a number of at least ${bound}.`;
+  if (keyword === "maximum") return `Enter a number of at most ${bound}.`;
+  if (keyword === "exclusiveMinimum") return `Enter a number above ${bound}.`;
+  return keyword === "exclusiveMaximum" ? `Enter a number below ${bound}.` : error;
 }
 
 /** The properties of a resource's value, or of its input, as far as the schema tells. */

@@ -1,4 +1,5 @@
 /** Words of the gateway's messages, as operators say them. */
+import { amount } from "./format.ts";
 import { say, vocabulary } from "./language.svelte.ts";
 
 const STATES: Record<string, string> = {
@@ -54,4 +55,4 @@ export function errorWord(code: string | undefined): string {
 }
 
 /** A number of things in words. */
-export const many = (count: number, one: string, more: string): string => `${count.toLocaleString("en")} ${count === 1 ? one : more}`;
+export const many = (count: number, one: string, more: string): string => `${amount(count)} ${count === 1 ? one : more}`;

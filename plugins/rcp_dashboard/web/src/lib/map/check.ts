@@ -85,6 +85,7 @@ export function checkFence(fence: Fence, vehicles: { name: string; at: Geo }[] =
   const found: Finding[] = [];
   fence.areas.forEach((area, place) => {
     const name = `Area ${place + 1}`;
+    if (area.corners.some(({ latitude, longitude }) => Math.abs(latitude) > 90 || Math.abs(longitude) > 180)) return void found.push(wrong(`${name} is at no place on Earth.`));
     if (area.radius !== undefined) {
       if (!(area.radius > 0)) found.push(wrong(`${name}: the circle has no radius.`));
     } else if (area.corners.length < 3) found.push(wrong(`${name}: a polygon needs three corners.`));

@@ -13,12 +13,6 @@ export function mayFly(kind: string | undefined): boolean {
   return !drives(kind) && kind !== BELOW;
 }
 
-/** What a box of a number holds: null where it is empty, NaN where it is no number. */
-export function numberIn({ value, validity }: { value: string; validity: { badInput: boolean } }): number | null {
-  if (value.trim() !== "") return Number(value);
-  return validity.badInput ? NaN : null;
-}
-
 /** The height of a new item in m: NaN where none was given, which is not uploaded. */
 export function heightFor(kind: string | undefined, given: number | null): number {
   return drives(kind) ? 0 : (given ?? NaN);

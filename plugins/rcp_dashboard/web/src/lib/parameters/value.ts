@@ -1,5 +1,6 @@
 /** Values of parameters: as text, from text, and whether two are the same. */
 import { faults, numberOf, parse } from "../schema.ts";
+import { boxed, pointed } from "../typed.ts";
 import type { Parameter } from "./parameter.ts";
 
 const FEWEST = 6; // digits of a number of 32 bits
@@ -52,7 +53,7 @@ function valueOf({ entry }: Parameter, text: string): Entered {
   if (entry === "text") return { value: text };
   if (text.trim() === "") return { fault: "Enter a value." };
   if (entry === "boolean") return text === "true" || text === "false" ? { value: text === "true" } : { fault: "Enter true or false." };
-  if (entry === "number" || entry === "integer") return { value: numberOf(text.trim()) };
+  if (entry === "number" || entry === "integer") return { value: numberOf(pointed(text)) };
   try {
     return { value: parse(text) };
   } catch {
@@ -66,8 +67,8 @@ function numberFault({ entry, low, high, schema }: Parameter, value: unknown): s
   if (typeof value !== "number") return faults(value, schema).length ? "Enter a number." : undefined;
   if (entry === "integer" && !Number.isInteger(value)) return "Enter a whole number.";
   if ((low === undefined || value >= low) && (high === undefined || value <= high)) return undefined;
-  if (low === undefined) return `Enter a number of at most ${high}.`;
-  return high === undefined ? `Enter a number of at least ${low}.` : `Enter a number from ${low} to ${high}.`;
+  if (low === undefined) return `Enter a number of at most ${boxed(high as number)}.`;
+  return high === undefined ? `Enter a number of at least ${boxed(low)}.` : `Enter a number from ${boxed(low)} to ${boxed(high)}.`;
 }
 
 /** Whether a value is beyond what the makers recommend. */

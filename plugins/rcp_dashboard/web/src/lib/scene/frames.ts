@@ -1,13 +1,19 @@
 import { Matrix4, Quaternion, Vector3 } from "three";
 
-/** A pose or transform of the wire as a matrix. */
+export const FARTHEST = 1e9; // m: what is farther away is no place, and leaves the picture without numbers
+
+/** Whether these are numbers that can be drawn. */
+export const drawable = (...values: unknown[]): boolean => values.every((one) => Number.isFinite(one) && Math.abs(one as number) <= FARTHEST);
+
+/** A pose or transform of the wire as a matrix; four zeros are what a message begins with: they are taken for no rotation. */
 export function matrixOf(position: any, orientation: any): Matrix4 {
   const { x = 0, y = 0, z = 0 } = position ?? {};
   const { x: qx = 0, y: qy = 0, z: qz = 0, w = 1 } = orientation ?? {};
-  return new Matrix4().compose(new Vector3(x, y, z), new Quaternion(qx, qy, qz, w), new Vector3(1, 1, 1));
+  if (!drawable(x, y, z, qx, qy, qz, w)) throw new Error("its pose has something that is not a number, or is too far away");
+  return new Matrix4().compose(new Vector3(x, y, z), new Quaternion(qx, qy, qz, w).normalize(), new Vector3(1, 1, 1));
 }
 
-const bare = (name: string): string => name.replace(/^\//, "");
+const bare = (name: unknown): string => String(name).replace(/^\//, "");
 const DEEP = 256; // frames in one chain; more is a ring
 
 /** The tree of frames, as far as transforms of it have come. */
@@ -20,19 +26,28 @@ export class Frames {
     return this.#names;
   }
 
-  /** Take one transform, or a list of them, that a source tells. */
+  /** Take one transform, or a list of them, that a source tells; raises for those that are wrong when the others are taken. */
   take(value: any, source: string): void {
+    let wrong = "";
     for (const one of value.transforms ?? (Array.isArray(value) ? value : [value])) {
+      if (typeof one !== "object" || one === null) continue;
       const transform = one.transform ?? one;
       const parent = bare(one.header?.frame_id ?? one.frame_id ?? one.parent ?? "");
       const child = bare(one.child_frame_id ?? one.child ?? "");
       if (!parent || !child || parent === child) continue;
       const known = this.#above.get(child);
-      const matrix = matrixOf(transform.translation, transform.rotation);
+      let matrix: Matrix4;
+      try {
+        matrix = matrixOf(transform.translation, transform.rotation);
+      } catch (error) {
+        wrong ||= `${child}: ${(error as Error).message}`;
+        continue; // it stays where it was
+      }
       if (this.#above.get(parent)?.parent === child) this.#above.delete(parent); // it was told the other way round
       this.#above.set(child, { parent, matrix, source });
       if (known?.parent !== parent) this.#named();
     }
+    if (wrong) throw new Error(wrong);
   }
 
   /** Leave out what a source has told. */

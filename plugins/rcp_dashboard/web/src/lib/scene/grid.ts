@@ -33,6 +33,8 @@ void main() {
   else gl_FragColor = vec4(mix(vec3(0.15, 0.3, 0.95), vec3(0.95, 0.2, 0.1), found / 98.0), opacity);
 }`;
 
+const WIDEST = 8192; // cells of a side that any graphics card takes as a picture
+
 /**
  * A map in cells, as a picture on the floor: free is light, occupied dark, unknown not there.
  *
@@ -82,7 +84,7 @@ export class Grid {
     const { x, y, width, height } = update;
     const { image } = this.#texture;
     const cells = cellsOf(update);
-    if (![x, y, width, height].every(Number.isInteger) || x < 0 || y < 0 || x + width > image.width || y + height > image.height) throw new Error("an update lies outside of it");
+    if (![x, y].every(Number.isInteger) || x < 0 || y < 0 || x + width > image.width || y + height > image.height) throw new Error("an update lies outside of it");
     for (let row = 0; row < height; row++) (image.data as Uint8Array).set(cells.subarray(row * width, (row + 1) * width), (y + row) * image.width + x);
     this.#texture.needsUpdate = true;
   }
@@ -120,7 +122,9 @@ function originOf(grid: any): Matrix4 {
 
 function cellsOf(grid: any): Uint8Array<ArrayBuffer> {
   const { width, height } = grid.info ?? grid;
+  if (![width, height].every((side) => Number.isInteger(side) && side > 0)) throw new Error(`its size is ${width} x ${height}`);
+  if (Math.max(width, height) > WIDEST) throw new Error(`it is ${width} x ${height} cells large: ${WIDEST} a side is the most`);
   const cells = Array.isArray(grid.data) ? Uint8Array.from(grid.data) : bytesOf(grid.data).slice(); // -1 becomes 255
-  if (cells.length !== width * height || cells.length === 0) throw new Error(`it has ${cells.length} cells, not ${width} x ${height}`);
+  if (cells.length !== width * height) throw new Error(`it has ${cells.length} cells, not ${width} x ${height}`);
   return cells;
 }

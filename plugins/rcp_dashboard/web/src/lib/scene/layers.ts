@@ -5,7 +5,7 @@ import {
 
 import type { Anchor, Wish } from "../labels.ts";
 import { colour, type Colouring, type Points } from "./cloud.ts";
-import { matrixOf } from "./frames.ts";
+import { drawable, matrixOf } from "./frames.ts";
 import { words } from "./words.ts";
 
 const TRAIL = 4000; // places
@@ -168,7 +168,7 @@ const WHITE = new Color(0xffffff);
 /** A way that is planned. */
 export function pathLine(path: any): Line {
   const places: any[] = (path.poses ?? []).map((one: any) => one.pose?.position ?? one.position ?? one);
-  const flat = new Float32Array(places.map((one) => [one.x ?? 0, one.y ?? 0, (one.z ?? 0) + 0.04]).filter((one) => one.every(Number.isFinite)).flat());
+  const flat = new Float32Array(places.map((one) => [one.x ?? 0, one.y ?? 0, (one.z ?? 0) + 0.04]).filter((one) => drawable(...one)).flat());
   const geometry = new BufferGeometry();
   geometry.setAttribute("position", new BufferAttribute(flat, 3));
   const made = new Line(geometry, new LineBasicMaterial({ color: 0x3fbf7f }));

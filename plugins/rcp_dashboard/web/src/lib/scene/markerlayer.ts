@@ -1,5 +1,6 @@
 import { Group, Matrix4, MeshPhongMaterial, type Object3D, Quaternion, Vector3 } from "three";
 
+import { amount } from "../format.ts";
 import { many } from "../words.ts";
 import { Batches, type Solid } from "./batches.ts";
 import { discard } from "./discard.ts";
@@ -89,7 +90,7 @@ export class MarkerLayer {
   }
 
   problems(fixed: string): string[] {
-    const lost = [...this.#lost].map(([frame, count]) => `no transform from ${frame || "the robot"} to ${fixed} (${many(count, "marker", "markers")})`);
+    const lost = [...this.#lost].map(([frame, count]) => `no transform from ${frame || "the robot"} to ${fixed} (${amount(count)} ${count === 1 ? "marker" : "markers"})`);
     return [...lost, ...this.#store.problems, ...(this.#tooMany ? [this.#tooMany] : []), ...[...this.#meshProblems].map(([uri, why]) => `${uri}: ${why}`)];
   }
 

@@ -1,6 +1,8 @@
-import { Matrix4, Quaternion, Vector3 } from "three";
+import { type Matrix4, Vector3 } from "three";
 
+import { amount } from "../format.ts";
 import { many } from "../words.ts";
+import { drawable, matrixOf } from "./frames.ts";
 
 export const MOST = 5000; // markers of one source that are drawn
 export const MOST_POINTS = 100_000; // points of all markers of one source
@@ -132,8 +134,8 @@ export class Markers {
     const add = (why: string, key: string): unknown => (reasons.has(why) ? reasons.get(why)!.push(key) : reasons.set(why, [key]));
     for (const [key, why] of this.#refused) add(`not drawn: ${why}`, key);
     for (const { key, notes } of this.#all.values()) for (const why of notes) add(why, key);
-    const made = [...reasons].map(([why, keys]) => `${keys[0]}${keys.length > 1 ? ` and ${(keys.length - 1).toLocaleString("en")} more` : ""}: ${why}`);
-    if (this.#left.size > 0) made.unshift(`${many(this.#left.size, "marker is", "markers are")} not drawn: ${MOST.toLocaleString("en")} is the most`);
+    const made = [...reasons].map(([why, keys]) => `${keys[0]}${keys.length > 1 ? ` and ${amount(keys.length - 1)} more` : ""}: ${why}`);
+    if (this.#left.size > 0) made.unshift(`${many(this.#left.size, "marker is", "markers are")} not drawn: ${amount(MOST)} is the most`);
     return made;
   }
 }
@@ -158,7 +160,7 @@ function markerOf(key: string, told: any, now: number, room: number): Marker {
     kind,
     frame: String(told.header?.frame_id ?? told.frame_id ?? ""),
     locked: told.frame_locked === true,
-    pose: poseMatrix(told.pose),
+    pose: matrixOf(told.pose?.position, told.pose?.orientation),
     scale,
     colour,
     points,
@@ -171,17 +173,9 @@ function markerOf(key: string, told: any, now: number, room: number): Marker {
   };
 }
 
-function poseMatrix(pose: any): Matrix4 {
-  const { x = 0, y = 0, z = 0 } = pose?.position ?? {};
-  const { x: qx = 0, y: qy = 0, z: qz = 0, w = 1 } = pose?.orientation ?? {};
-  if (![x, y, z, qx, qy, qz, w].every(Number.isFinite)) throw new Error("its pose has something that is not a number");
-  // Four zeros are what a message begins with: they are taken for no rotation.
-  return new Matrix4().compose(new Vector3(x, y, z), new Quaternion(qx, qy, qz, w).normalize(), new Vector3(1, 1, 1));
-}
-
 function scaleOf(kind: Kind, told: any): Vector3 {
   const { x = 0, y = 0, z = 0 } = told.scale ?? {};
-  if (![x, y, z].every(Number.isFinite)) throw new Error("its scale has something that is not a number");
+  if (!drawable(x, y, z)) throw new Error("its scale has something that is not a number, or is too large");
   if (Math.min(x, y, z) < 0) throw new Error("its scale is negative");
   const wanted = kind === "arrow" && told.points?.length ? "xy" : SIZES[kind];
   const zero = [...wanted].filter((axis) => ({ x, y, z })[axis] === 0);
@@ -214,7 +208,7 @@ function pointsOf(kind: Kind, told: any, room: number, notes: string[]): Pick<Ma
   const stride = STRIDE[kind] ?? 1;
   if (list.length % stride > 0) throw new Error(`the number of its points, ${list.length}, is no multiple of ${stride}`);
   const most = Math.min(list.length, Math.max(0, Math.floor(room / stride) * stride));
-  if (most < list.length) notes.push(`${most.toLocaleString("en")} of ${list.length.toLocaleString("en")} points are drawn: ${MOST_POINTS.toLocaleString("en")} of all markers is the most`);
+  if (most < list.length) notes.push(`${amount(most)} of ${amount(list.length)} points are drawn: ${amount(MOST_POINTS)} of all markers is the most`);
   const given = Array.isArray(told.colors) && told.colors.length > 0 ? told.colors : undefined;
   const each = given && (given.length === list.length ? 1 : kind === "triangles" && given.length * 3 === list.length ? 3 : 0);
   if (each === 0) notes.push(`${given.length} colours do not fit ${list.length} points: its own colour is used`);
@@ -223,11 +217,11 @@ function pointsOf(kind: Kind, told: any, room: number, notes: string[]): Pick<Ma
   let wrong = 0;
   for (let at = 0; at < most; at++) {
     const { x, y, z = 0 } = list[at] ?? {};
-    const good = Number.isFinite(x) && Number.isFinite(y) && Number.isFinite(z);
+    const good = drawable(x, y, z);
     if (!good) wrong += 1;
     points.set(good ? [x, y, z] : [NaN, NaN, NaN], at * 3);
     if (colours) colours.set(colourOf(given[Math.floor(at / (each as number))]), at * 4);
   }
-  if (wrong > 0) notes.push(`${wrong === 1 ? "a point that is no number is" : `${wrong.toLocaleString("en")} points that are no numbers are`} left out`);
+  if (wrong > 0) notes.push(`${wrong === 1 ? "a point that is no number is" : `${amount(wrong)} points that are no numbers are`} left out`);
   return { points, colours };
 }

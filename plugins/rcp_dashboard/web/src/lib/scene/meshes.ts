@@ -8,6 +8,7 @@ import { say } from "../language.svelte.ts";
 export type Fetch = (uri: string) => Promise<Uint8Array<ArrayBuffer>>;
 
 const AT_ONCE = 4;
+const MOST_FILES = 256; // that are kept, and problems: markers may name others without end
 const NOTHING = "data:image/gif;base64,R0lGODlhAQABAAAAACw="; // where a texture could not be had
 
 /** The meshes of one description. Each file is got once, however often it is drawn. */
@@ -30,8 +31,11 @@ export class Meshes {
   /** Make an object of a file; a box stands for what cannot be had. */
   async load(uri: string, material: Material): Promise<Object3D> {
     try {
-      return await this.#made(uri, material);
+      const made = await this.#made(uri, material);
+      this.problems.delete(uri);
+      return made;
     } catch (error) {
+      if (this.problems.size >= MOST_FILES) this.problems.clear();
       this.problems.set(uri, (error as Error).message);
       return new Mesh(new BoxGeometry(0.1, 0.1, 0.1), new MeshPhongMaterial({ color: 0xd08080, wireframe: true }));
     }
@@ -110,7 +114,11 @@ export class Meshes {
 
   #file(uri: string): Promise<Uint8Array<ArrayBuffer>> {
     let file = this.#files.get(uri);
-    if (!file) this.#files.set(uri, (file = this.#got(uri)));
+    if (!file) {
+      if (this.#files.size >= MOST_FILES) this.#files.clear();
+      this.#files.set(uri, (file = this.#got(uri)));
+      file.catch(() => this.#files.delete(uri)); // it may be there when it is asked for again
+    }
     return file;
   }
 

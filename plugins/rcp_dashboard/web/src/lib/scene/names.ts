@@ -2,6 +2,7 @@ import type { Matrix4 } from "three";
 
 import { declutter } from "../labels.ts";
 import type { Body } from "./body.ts";
+import { discard } from "./discard.ts";
 import { FrameMark, Name, sides } from "./layers.ts";
 import type { View } from "./view.ts";
 import { NAME_LINE } from "./words.ts";
@@ -25,6 +26,7 @@ export class Names {
   settle(bodies: ReadonlyMap<string, Body>, fixed: string, wanted: { frames: boolean; robots: boolean }): void {
     for (const mark of this.#marks.values()) mark.object.visible = false;
     for (const name of this.#robots.values()) name.object.visible = false;
+    this.#forget(bodies);
     const names = new Map<string, Name>();
     const standing = [...bodies].map(([space, body]) => ({ space, at: body.at(fixed) })).filter((one) => one.at);
     if (wanted.robots && standing.length > 1) for (const { space, at } of standing) names.set(`robot ${space}`, this.#robot(space, at!));
@@ -34,6 +36,17 @@ export class Names {
     this.#before = declutter(wishes, sides, [], this.#before);
     for (const [key, name] of names) name.stand(this.#before.get(key));
     this.left = names.size - this.#before.size;
+  }
+
+  /** Give back what stands for frames that are no longer told of. */
+  #forget(bodies: ReadonlyMap<string, Body>): void {
+    const known = new Set([...bodies].flatMap(([space, body]) => body.frames.names.map((name) => `${space}: ${name}`)));
+    for (const [key, { object }] of this.#marks) {
+      if (known.has(key)) continue;
+      this.#view.remove(object);
+      discard(object);
+      this.#marks.delete(key);
+    }
   }
 
   #robot(space: string, at: Matrix4): Name {

@@ -107,10 +107,15 @@ export class Sources {
       const mine = space(path);
       if (!told.has(mine) && !NOT_ITS_OWN.test(path)) {
         told.add(mine);
-        yield [`robot ${path}`, () => watch(path, { rate: 30 }, ({ body, timestamp }) => {
-          this.heard = { timestamp, deadline: one.deadline };
-          world.pose(mine, body);
-        })];
+        yield [`robot ${path}`, () => {
+          const stop = watch(path, { rate: 30 }, ({ body, timestamp }) => {
+            if (world.pose(mine, body)) this.heard = { timestamp, deadline: one.deadline };
+          });
+          return () => {
+            stop();
+            world.unposed(mine);
+          };
+        }];
       } else if (shapes(one).has("pose") && framed(one))
         yield [`pose ${path}`, () => watch(path, { rate: 5 }, ({ body }) => world.take("pose", mine, path, body))];
     }
@@ -200,15 +205,14 @@ const spaceOf = (star: string): string => belowBranch(star).replace(/\/?tf\/[^/]
 /** Follow a vehicle that tells place and attitude apart. */
 function flight(world: World, space: string, place: string, attitude: string | undefined, hear: (timestamp: string) => void): Stop {
   let [at, turned]: any[] = [];
-  const tell = (): void => {
+  const tell = (): boolean => {
     const pose = at && poseOfNed(at, turned);
-    if (pose) world.posed(space, pose, true);
+    return pose !== undefined && world.posed(space, pose, true);
   };
   const stops = [
     watch(place, { rate: 20 }, ({ body, timestamp }) => {
       at = body;
-      hear(timestamp);
-      tell();
+      if (tell()) hear(timestamp);
     }),
   ];
   if (attitude)
@@ -218,5 +222,8 @@ function flight(world: World, space: string, place: string, attitude: string | u
         tell();
       }),
     );
-  return () => stops.forEach((stop) => stop());
+  return () => {
+    stops.forEach((stop) => stop());
+    world.unposed(space);
+  };
 }

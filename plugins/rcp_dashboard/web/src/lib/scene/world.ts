@@ -7,7 +7,7 @@ import { detectionsAsMarkers, polygonAsMarkers, posesAsMarkers } from "./asmarke
 import { Body, type Goal, type Model } from "./body.ts";
 import { discard } from "./discard.ts";
 import { cloudPoints, type Colouring, scanPoints } from "./cloud.ts";
-import { matrixOf } from "./frames.ts";
+import { drawable } from "./frames.ts";
 import { Grid } from "./grid.ts";
 import { Dots, goalMark, pathLine, poseArrow } from "./layers.ts";
 import { MarkerLayer } from "./markerlayer.ts";
@@ -171,25 +171,37 @@ export class World {
     this.#view.changed();
   }
 
-  /** Take where the robot is. */
-  pose(space: string, value: any): void {
+  /** Take where the robot is; returns whether the value tells that. */
+  pose(space: string, value: any): boolean {
     const told = poseOf(value);
-    if (!told) return;
-    this.posed(space, { ...told, base: value.child_frame_id });
+    return told !== undefined && this.posed(space, { ...told, base: value.child_frame_id });
   }
 
-  /** Take where it is, as far as it is known. */
-  posed(space: string, pose: Pose & { base?: string }, flying = false): void {
+  /** Take where it is, as far as it is known; returns whether it is a place. */
+  posed(space: string, pose: Pose & { base?: string }, flying = false): boolean {
+    if (!drawable(...Object.values(pose.position), ...Object.values(pose.orientation))) return false;
     const body = this.body(space);
     body.like(flying);
     body.pose = { ...pose, base: pose.base };
+    this.#view.changed();
+    return true;
+  }
+
+  /** Nothing tells any more where it is. */
+  unposed(space: string): void {
+    this.body(space).pose = undefined;
     this.#view.changed();
   }
 
   transforms(space: string, path: string, value: any): void {
     const body = this.body(space);
     body.like(false);
-    body.frames.take(value, path);
+    try {
+      body.frames.take(value, path);
+      this.#problems.delete(path);
+    } catch (error) {
+      this.#problems.set(path, `cannot be drawn: ${(error as Error).message}`);
+    }
     this.#view.changed();
   }
 
