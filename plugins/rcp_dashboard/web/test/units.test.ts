@@ -72,7 +72,7 @@ describe("joints", () => {
   const pan: Joint = { field: "", name: "pan", least: -2.8, most: 2.8, unit: "rad" };
 
   it("are sent what was typed, as the actuator takes it", () => {
-    expect([typedTarget("0,3", lift), typedTarget("0.31", lift), typedTarget("", lift), typedTarget("up", lift)]).toEqual([0.3, undefined, undefined, undefined]);
+    expect([typedTarget("0.3", lift), typedTarget("0.31", lift), typedTarget("", lift), typedTarget("up", lift)]).toEqual([0.3, undefined, undefined, undefined]);
     units.choose("imperial");
     expect([typedTarget("0.5", lift), typedTarget("1", lift), typedTarget("-0.01", lift)]).toEqual([0.1524, undefined, undefined]);
     expect(typedTarget("-1.5", pan)).toBe(-1.5);
