@@ -329,7 +329,6 @@ async def end_own_motion(axis: Axis, why: BaseException) -> None:
     axis.leaving = True
     try:
         with anyio.CancelScope(shield=True):
-            await axis.drive.settled()
             await rested(axis)
     except RcpError:
         if isinstance(why, asyncio.CancelledError):

@@ -66,9 +66,13 @@ def motion_of_all(axes: Iterable[Axis]) -> MotionState | None:
 async def rested(axis: Axis, unless: Callable[[], bool] = lambda: False) -> None:
     """Wait until several consecutive fresh reports show standstill, unless it is not to rest any longer.
 
+    A procedure of the drive has to end first, which may silence the drive for a while.
+
     :raises DeviceTimeout: they do not, or feedback is lost.
     :raises AdapterUnavailable: the drive is lost meanwhile.
     """
+    if axis.drive.busy:
+        await axis.drive.settled()
     begun = time.monotonic()
     while time.monotonic() < begun + _REST:
         if unless() or axis.rests_since(begun):

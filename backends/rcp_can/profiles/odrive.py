@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
@@ -10,11 +9,11 @@ from typing import TYPE_CHECKING
 from msgspec import Struct
 
 from rcp_can.bus import Route
-from rcp_can.codec import Field, Layout
-from rcp_can.drive import Drive, Fault, Identity, Profile, Protection, Reach, StopFrame
+from rcp_can.drive import Drive, Identity, Profile, Protection, Reach, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_can.procedure import Procedure
 from rcp_can.profiles.odrive_endpoints import Endpoints, set_watchdog
+from rcp_can.profiles.odrive_messages import MESSAGES, faults_of
 from rcp_can.profiles.odrive_procedures import odrive_procedures
 from rcp_can.profiles.odrive_states import HOMING, PREPARING, SELF_MOVING, reason
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
@@ -22,9 +21,8 @@ from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 if TYPE_CHECKING:
     import can
 
-__all__ = ["MESSAGES", "PROFILE", "OdriveDrive", "OdriveOptions"]
+__all__ = ["PROFILE", "OdriveDrive", "OdriveOptions"]
 
-TURN = 2 * math.pi  # rad: ODrive counts turns
 _IDLE, _CLOSED_LOOP = 1, 8
 _CONTROL: dict[Mode, int] = {"torque": 1, "velocity": 2, "position": 3}
 _PASSTHROUGH, _TRAPEZOID = 1, 5
@@ -36,105 +34,6 @@ _IDENTITY = 0.5  # s within which it tells what it is
 _REBOOT = 10.0  # s within which it has stored its configuration and is back
 _SAVE = 1  # action of a reboot
 _FAST = 0.05  # s: a set-point older than this is not worth sending
-
-
-def _f(name: str, scale: float = 1.0) -> Field:
-    return Field(name, "f", scale)
-
-
-MESSAGES: dict[str, tuple[int, Layout]] = {
-    "version": (
-        0x00,
-        Layout(
-            "<",
-            Field("protocol", "B"),
-            *(Field(f"hardware_{part}", "B") for part in ("major", "minor", "variant")),
-            *(Field(f"firmware_{part}", "B") for part in ("major", "minor", "revision")),
-            Field("unreleased", "B"),
-        ),
-    ),
-    "heartbeat": (
-        0x01,
-        Layout(
-            "<", Field("error", "I"), Field("state", "B"), Field("result", "B"), Field("done", "B")
-        ),
-    ),
-    "error": (0x03, Layout("<", Field("active", "I"), Field("disarm_reason", "I"))),
-    "access": (
-        0x04,
-        Layout(
-            "<",
-            Field("opcode", "B"),
-            Field("endpoint", "H"),
-            Field("reserved", "B"),
-            Field("value", "I"),
-        ),
-    ),
-    "value": (
-        0x05,
-        Layout(
-            "<",
-            Field("reserved_0", "B"),
-            Field("endpoint", "H"),
-            Field("reserved_1", "B"),
-            Field("value", "I"),
-        ),
-    ),
-    "address": (
-        0x06,
-        Layout("<", Field("node", "B"), Field("serial_low", "I"), Field("serial_high", "H")),
-    ),
-    "state": (0x07, Layout("<", Field("state", "I"))),
-    "encoder": (0x09, Layout("<", _f("position", TURN), _f("velocity", TURN))),
-    "mode": (0x0B, Layout("<", Field("control", "I"), Field("input", "I"))),
-    "position": (
-        0x0C,
-        Layout(
-            "<",
-            _f("position", TURN),
-            Field("velocity", "h", 0.001 * TURN),
-            Field("torque", "h", 0.001),
-        ),
-    ),
-    "velocity": (0x0D, Layout("<", _f("velocity", TURN), _f("torque"))),
-    "torque": (0x0E, Layout("<", _f("torque"))),
-    "limits": (0x0F, Layout("<", _f("velocity", TURN), _f("current"))),
-    "trap_velocity": (0x11, Layout("<", _f("velocity", TURN))),
-    "trap_acceleration": (0x12, Layout("<", _f("acceleration", TURN), _f("deceleration", TURN))),
-    "current": (0x14, Layout("<", _f("set_point"), _f("measured"))),
-    "temperature": (0x15, Layout("<", _f("drive"), _f("motor"))),
-    "reboot": (0x16, Layout("<", Field("action", "B"))),
-    "supply": (0x17, Layout("<", _f("voltage"), _f("current"))),
-    "clear": (0x18, Layout("<", Field("identify", "B"))),
-    "absolute": (0x19, Layout("<", _f("position", TURN))),
-    "torques": (0x1C, Layout("<", _f("target"), _f("estimate"))),
-}
-"""Command and payload of each message; in radians, while ODrive uses turns."""
-
-_ERRORS = {
-    0: "initializing",
-    1: "system level",
-    2: "timing",
-    3: "missing estimate",
-    4: "bad configuration",
-    5: "driver fault",
-    6: "missing input",
-    8: "supply over-voltage",
-    9: "supply under-voltage",
-    10: "supply over-current",
-    11: "supply over-regeneration",
-    12: "over-current",
-    13: "over-temperature of the motor",
-    14: "over-temperature of the drive",
-    15: "velocity limit",
-    16: "position limit",
-    24: "watchdog expired",
-    25: "emergency stop",
-    26: "spin-out",
-    27: "brake resistor off",
-    28: "thermistor disconnected",
-    30: "calibration",
-}
 
 
 _HEARTBEATS = 2  # that may predate a request
@@ -230,11 +129,11 @@ class OdriveDrive(Drive):
         self._unsettled = max(0, self._unsettled - 1)
         status.enabled = state not in (0, _IDLE)
         status.reached = bool(done & 1) if self._moving else None
-        status.faults = _faults(error) if error else ()
+        status.faults = faults_of(error) if error else ()
         status.reports += 1
 
     def _on_error(self, active: int, disarm_reason: int) -> None:
-        self.status.faults = _faults(active)
+        self.status.faults = faults_of(active)
         self.status.reports += 1
 
     def _on_address(self, node: int, serial_low: int, serial_high: int) -> None:
@@ -512,15 +411,6 @@ class OdriveDrive(Drive):
             for name in words
             for command, layout in (MESSAGES[name],)
         ]
-
-
-def _faults(error: int) -> tuple[Fault, ...]:
-    found = [
-        Fault(text.replace(" ", "_"), text, bit)
-        for bit, text in _ERRORS.items()
-        if error >> bit & 1
-    ]
-    return tuple(found) if found or not error else (Fault("error", f"error 0x{error:x}", error),)
 
 
 PROFILE = Profile(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, Any
 
-from rcp_can.profiles.odrive import MESSAGES
+from rcp_can.profiles.odrive_messages import MESSAGES
 from rcp_can.sim.plant import Plant
 from rcp_can.sim.twin import Twin
 

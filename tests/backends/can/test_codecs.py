@@ -17,7 +17,15 @@ from hypothesis import strategies as st
 from backends.can.rig import MOTORS, OTHERS
 from rcp_can.codec import Codec, Field, Layout, Packed, Span
 from rcp_can.config import BusConfig
-from rcp_can.profiles import PROFILES, cia402_objects, cybergear, mit, odrive, profile, vesc
+from rcp_can.profiles import (
+    PROFILES,
+    cia402_objects,
+    cybergear,
+    mit,
+    odrive_messages,
+    profile,
+    vesc,
+)
 from rcp_can.profiles import moteus_wire as wire
 from rcp_can.profiles.cia402_objects import state_of
 from rcp_can.sdo import Sdo, SdoAborted
@@ -25,7 +33,7 @@ from rcp_can.sim import make_twin
 from rcp_kernel.errors import DeviceTimeout, RcpError
 
 CODECS: dict[str, Codec] = {
-    **{f"odrive {name}": layout for name, (_, layout) in odrive.MESSAGES.items()},
+    **{f"odrive {name}": layout for name, (_, layout) in odrive_messages.MESSAGES.items()},
     **{f"cia402 {name}": layout for name, (_, layout) in cia402_objects.MESSAGES.items()},
     **{f"vesc {name}": layout for name, (_, layout) in vesc.MESSAGES.items()},
     **{f"command {name}": mit.command_codec(span) for name, span in mit.MODELS.items()},

@@ -16,7 +16,7 @@ import pytest
 
 from backends.can.rig import motor
 from backends.can.test_gateway import bed
-from rcp_can.profiles.odrive import MESSAGES
+from rcp_can.profiles.odrive_messages import MESSAGES
 from rcp_can.profiles.odrive_states import CALIBRATIONS, STATES, reason
 from rcp_can.sim.odrive import ENDPOINTS
 from rcp_kernel.errors import (

@@ -162,6 +162,7 @@ async def test_a_drive_that_does_not_reboot_is_not_said_to_rest(
 async def test_through_a_gateway_an_e_stop_ends_a_detection() -> None:
     async with bed("vesc", commissioning=True) as held:
         held.twin.detects, held.twin.plant.friction = 5.0, 0.02
+        held.twin.boots = 0.8  # longer than a drive may be silent otherwise
         dry = await held.ask("execute", "action/m/detect_motor", BODY, dry_run=True)
         assert (dry["status"], dry["dry_run"]) == ("completed", True), dry
         id_ = await held.client.send(
