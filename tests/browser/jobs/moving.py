@@ -129,9 +129,9 @@ async def fly(hands: Hands, site: Site) -> None:
     status, actions = page.get_by_test_id("action-status"), page.get_by_test_id("actions")
     await hands.press(actions.get_by_role("button", name="Mode"))
     await expect(status).to_contain_text("Mode: completed")
+    await hands.write(actions.get_by_label("altitude of Take off"), "2")
     async with hands.held(actions.get_by_role("button", name="Arm", exact=True)):
         await expect(status).to_contain_text("Arm: completed")
-    await hands.write(actions.get_by_label("altitude of Take off"), "2")
     async with hands.held(actions.get_by_role("button", name="Take off")):
         await expect(status).to_contain_text("Take off:")
     await expect(status).to_contain_text("Take off: completed", timeout=FLIGHT)
