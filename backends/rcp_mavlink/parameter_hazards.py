@@ -14,24 +14,21 @@ _TOLD = 5  # names in a message
 
 # Both firmwares apply a parameter at once. ArduPilot counts as armed while ARMING_REQUIRE is 0, and
 # sends MOT_PWM_MIN, SERVOn_TRIM and the like to outputs of a disarmed vehicle; PX4 sends PWM_*_DIS*.
-_HAZARDS = re.compile(
-    "|".join(
-        (
-            # What an output carries, and its pulse: also of a disarmed vehicle.
-            r"SERVO\d*_.*", r"MOT_.*", r"Q_M_.*", r"Q_TILT_.*", r"H_.*", r"RELAY\d*_.*", r"FRAME_.*",
-            r"ESC_.*", r"ICE_.*", r"WINCH_.*", r"GRIP_.*", r"CHUTE_.*", r"LGR_.*", r"SPRAY_.*",
-            r"CAN_D\d_UC_.*", r"MNT.*", r"THR_.*", r"SAIL_.*",
-            r"PWM_.*", r"HIL_ACT_.*", r"UAVCAN_.*", r"DSHOT_.*", r"CA_.*", r"VOXL.*", r"TAP_ESC_.*",
-            # Arming without a command, and what a switch or stick of a remote control does.
-            r"ARMING_.*", r"BRD_SAFETY.*", r"BRD_SAFETYENABLE", r"RC\d*_.*", r"RCMAP_.*",
-            r"FLTMODE\d*(_.*)?", r"MODE(\d+|_CH)", r"FLIGHT_MODE\d+", r"CH\d+_OPT(ION)?", r"INITIAL_MODE",
-            r"COM_ARM.*", r"COM_PREARM_.*", r"COM_FLTMODE\d+", r"COM_RC_.*", r"COM_KILL_.*", r"CBRK_.*",
-            r"MAN_.*",
-            # Programs on the vehicle, and a simulated one's world.
-            r"SCR_.*", r"SYS_HITL", r"SYS_AUTOSTART", r"SYS_AUTOCONFIG", r"SIM_.*",
-        )
-    )
+_FAMILIES = (
+    # What an output carries, and its pulse: also of a disarmed vehicle.
+    r"SERVO\d*_.*", r"MOT_.*", r"Q_M_.*", r"Q_TILT_.*", r"H_.*", r"RELAY\d*_.*", r"FRAME_.*",
+    r"ESC_.*", r"ICE_.*", r"WINCH_.*", r"GRIP_.*", r"CHUTE_.*", r"LGR_.*", r"SPRAY_.*",
+    r"CAN_D\d_UC_.*", r"MNT.*", r"THR_.*", r"SAIL_.*",
+    r"PWM_.*", r"HIL_ACT_.*", r"UAVCAN_.*", r"DSHOT_.*", r"CA_.*", r"VOXL.*", r"TAP_ESC_.*",
+    # Arming without a command, and what a switch or stick of a remote control does.
+    r"ARMING_.*", r"BRD_SAFETY.*", r"RC\d*_.*", r"RCMAP_.*",
+    r"FLTMODE\d*(_.*)?", r"MODE(\d+|_CH)", r"FLIGHT_MODE\d+", r"CH\d+_OPT(ION)?", r"INITIAL_MODE",
+    r"COM_ARM.*", r"COM_PREARM_.*", r"COM_FLTMODE\d+", r"COM_RC_.*", r"COM_KILL_.*", r"CBRK_.*",
+    r"MAN_.*",
+    # Programs on the vehicle, and a simulated one's world.
+    r"SCR_.*", r"SYS_HITL", r"SYS_AUTOSTART", r"SYS_AUTOCONFIG", r"SIM_.*",
 )  # fmt: skip
+_HAZARDS = re.compile("|".join(_FAMILIES))
 
 
 def is_hazard(name: str) -> bool:

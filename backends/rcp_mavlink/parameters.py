@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, OutOfRange, RcpError, UnknownPath
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
-from rcp_mavlink.parameter_hazards import check_sent
 from rcp_mavlink.paramcoding import REAL, bounds, decoded, param_set
+from rcp_mavlink.parameter_hazards import check_sent
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Parameter", "Parameters"]
