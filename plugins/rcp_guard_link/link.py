@@ -284,10 +284,11 @@ class GuardLink:
             stopped = any(one.robot in (None, unit.robot) for one in verified)
             if moves and not stopped and key not in self._warned:
                 self._warned.add(key)
+                named = {} if unit.place is None else {"robot": unit.place}
                 log.warning(
                     "robot_without_watchdog",
                     backend=supervisor.name,
-                    robot=unit.place,
+                    **named,
                     detail="no known watchdog or guard plan stops it if the gateway freezes or "
                     "is killed",
                 )

@@ -5,14 +5,18 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
+import threading
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 
 from backends.ros2.robot import BOUND, Robot, fresh_domain
+from rcp_kernel.errors import DeviceTimeout
 from rcp_ros2.action_clients import ActionClients
 from rcp_ros2.config import Ros2Config
+from rcp_ros2.offer_servers import OfferNode
 from rcp_ros2.ros import open_ros
 
 pytestmark = pytest.mark.anyio
@@ -51,3 +55,48 @@ async def test_the_client_of_an_action_lives_as_long_as_the_node() -> None:
         assert await ros.call(clients.of, Fibonacci, "/two") is not first
         assert await ros.call(clients.of, NestedMessage, "/one") is None  # the first has to go
         assert await ros.call(clients.of, NestedMessage, "/one") is not first
+
+
+class Served:
+    """A server that says what becomes of it."""
+
+    def __init__(self) -> None:
+        self.created = self.destroyed = 0
+
+    def create(self, node: object) -> None:
+        self.created += 1
+
+    def destroy(self, node: object) -> None:
+        self.destroyed += 1
+
+
+async def test_offers_whose_thread_is_stuck_do_not_hold_up_the_robot(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    config = msgspec.convert({"domain_id": fresh_domain()}, Ros2Config)
+    host = Robot()
+    async with open_ros(config, host) as ros, asyncio.timeout(BOUND):
+        node = OfferNode(SimpleNamespace(ros=ros, host=host))  # type: ignore[arg-type]
+        ros.on_close.append(node.close)
+        stuck, free = asyncio.Event(), threading.Event()
+        loop = asyncio.get_running_loop()
+        try:
+            first, late, never = Served(), Served(), Served()
+            await node.add(first, lambda: None)
+            node.run(lambda: (loop.call_soon_threadsafe(stuck.set), free.wait(BOUND)))
+            await stuck.wait()
+            adding = asyncio.ensure_future(node.add(late, lambda: None))
+            await ros.call(lambda: None)  # by which a stop is sent
+            ros.post(node.remove, first)
+            await ros.call(lambda: None)
+            assert (late.created, first.destroyed) == (0, 0)
+            monkeypatch.setattr("rcp_ros2.offer_servers._MAKE", 0.01)
+            with pytest.raises(DeviceTimeout, match="did not create"):
+                await node.add(never, lambda: None)
+            ros.post(node.remove, never)
+            await ros.call(lambda: None)
+        finally:
+            free.set()
+        await adding
+        assert (late.created, first.destroyed) == (1, 1)
+    assert (late.destroyed, never.created - never.destroyed) == (1, 0)
