@@ -215,10 +215,12 @@ class Context:
         http.check_unconditional()
         client_api = self._client_api
         limit = client_api.longest(session.principal)
-        data = await http.body(receive, limit, self._config.body_timeout)
+        owner = session.principal.identity
+        data = await http.body(receive, limit, self._config.body_timeout, self._turns, owner)
         if len(data) > client_api.limits.unproved:
             client_api.check_pace(session)
-        http.put_body(request, data)
+        with self._turns.spending():
+            http.put_body(request, data)
 
     async def options(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
         """OPTIONS: the methods of the resource."""
