@@ -1,4 +1,4 @@
-"""The ROS thread: one context, one node, one executor.
+"""The ROS thread: one executor, one node with its context, and further ones for names with several types.
 
 rclpy is imported here and never used on the event loop. Functions run in this thread by `call` or
 `post`; results return through `Host.call_soon`.
