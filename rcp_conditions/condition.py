@@ -30,7 +30,7 @@ from rcp_conditions.expression import (
 )
 from rcp_protocol.errors import ConfigError
 
-__all__ = ["CLOCK", "Condition", "ConditionTooCostly", "Ref", "condition"]
+__all__ = ["CLOCK", "Condition", "ConditionTooCostly", "ConditionsMissing", "Ref", "condition"]
 
 log = structlog.get_logger("rcp.conditions")
 Ref = tuple[str, ...]
@@ -67,10 +67,17 @@ class ConditionTooCostly(ConfigError):
     )
 
 
+class ConditionsMissing(ConfigError):
+    """Nothing is installed that evaluates conditions."""
+
+    remedy = "Have the operator run `pip install 'rcp-gateway[conditions]'` on the gateway and restart it."
+
+
 class Condition:
     """A compiled expression.
 
-    :raises ConfigError: it is not valid CEL, or uses unknown names; or nothing here evaluates CEL.
+    :raises ConfigError: it is not valid CEL, or uses unknown names.
+    :raises ConditionsMissing: nothing here evaluates CEL.
     :raises ConditionTooCostly: it exceeds a limit of length, depth or cost.
     """
 
@@ -98,7 +105,7 @@ class Condition:
 
             self._program = compile_cel(write(self._tree))
         except ImportError as error:
-            raise ConfigError(
+            raise ConditionsMissing(
                 f"the condition `{self._shown}` cannot be evaluated ({error}); try: "
                 "pip install 'rcp-gateway[conditions]'"
             ) from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -116,9 +116,12 @@ class ParameterTransfer:
         commands: Commands,
         described: Described,
         reboot: Callable[[], Awaitable[None]],
+        check: Callable[[Iterable[str]], None],
     ) -> None:
         self._vehicle, self._parameters, self._commands = vehicle, parameters, commands
         self._described, self._reboot = described, reboot
+        self._check = check
+        """Called with the names of parameters before they are written; raises to refuse them."""
 
     @staticmethod
     def resources() -> list[Resource]:
@@ -168,6 +171,7 @@ class ParameterTransfer:
 
         :raises InvalidValue: lines of the file are no parameters of this vehicle; nothing is written.
         :raises PreconditionFailed: it is armed.
+        :raises EstopActive: it is stopped, and some of them may move it; nothing is written.
         :raises DeviceRejected: it refuses a value, does not respond, or is armed meanwhile.
         """
         self._check_disarmed("load")
@@ -181,6 +185,7 @@ class ParameterTransfer:
         faults += checked(entries, self._types())
         _refuse(faults)
         changes = [entry for entry in entries if self._differs(entry)]
+        self._check(entry.name for entry in changes)
         before = [Difference(e.name, known[e.name].value, e.value) for e in changes]
         written: list[Difference] = []
         async with reversed_on_failure(lambda: self._put_back(written), _REFUSED):
@@ -257,6 +262,7 @@ class ParameterTransfer:
                 left.append(change.name)
                 continue
             try:
+                self._check((change.name,))
                 now = await self._parameters.write(change.name, change.vehicle)
             except Exception as error:  # the others are put back all the same
                 unanswered = unanswered + 1 if isinstance(error, DeviceTimeout) else 0

@@ -13,6 +13,7 @@ from rcp_kernel.errors import DeviceRejected, DeviceTimeout, OutOfRange, RcpErro
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.paramcoding import REAL, bounds, decoded, param_set
+from rcp_mavlink.parameter_hazards import check_sent
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Parameter", "Parameters"]
@@ -156,7 +157,12 @@ class Parameters:
             self._hub.dialect.module, to, name, value, before.type, bytewise=vehicle.bytewise
         )
         # A value sent just before the write may still arrive; it is not the reply.
-        now = await self._exchange(name, message, lambda reported: reported in (wanted, value))
+        now = await self._exchange(
+            name,
+            message,
+            lambda reported: reported in (wanted, value),
+            before=lambda: check_sent(name, armed=vehicle.armed),
+        )
         if now is None:
             raise DeviceTimeout(f"the vehicle did not confirm {name}")
         if now != wanted and now == before.value:
@@ -165,9 +171,18 @@ class Parameters:
         return now
 
     async def _exchange(
-        self, name: str, message: Any, good: Callable[[float], bool], *, once: bool = False
+        self,
+        name: str,
+        message: Any,
+        good: Callable[[float], bool],
+        *,
+        once: bool = False,
+        before: Callable[[], None] = lambda: None,
     ) -> float | None:
-        """Send until an accepted value arrives; return the last one received, or None."""
+        """Send until an accepted value arrives; return the last one received, or None.
+
+        `before` is called before each sending, and raises to refuse it.
+        """
         self._vehicle.check()
         config, own = self._hub.config, name.encode()
         answered: asyncio.Future[int] = asyncio.get_running_loop().create_future()
@@ -190,6 +205,7 @@ class Parameters:
                 if kind in self._hub.dialect.by_name:
                     stack.enter_context(self._vehicle.listening(kind, take))
             for _ in range(1 if once else config.retries + 1):
+                before()
                 self._hub.send(self._vehicle, message)
                 done, _pending = await asyncio.wait({answered}, timeout=config.timeout)
                 if done or received is not None:

@@ -30,6 +30,7 @@ from rcp_mavlink.logs import LogPiece, LogRange, OnBoard
 from rcp_mavlink.metadata import About, about
 from rcp_mavlink.paramcoding import bounds
 from rcp_mavlink.parameter_defaults import ParameterDefaults
+from rcp_mavlink.parameter_hazards import is_hazard
 from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.plan_transfer import PlanTransfer
 from rcp_mavlink.profiles import claimed, offers
@@ -117,7 +118,12 @@ def parameter(path: str, name: str, type_: int, published: Mapping[str, About]) 
     if limits is not None:
         value = Annotated[int, Meta(ge=limits[0], le=limits[1], extra_json_schema=known.schema)]
     return Resource(
-        name=path, description=known.text, value=value, live=True, meta={"parameter": name}
+        name=path,
+        description=known.text,
+        value=value,
+        live=True,
+        energises=is_hazard(name),
+        meta={"parameter": name},
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncGenerator, Awaitable, Callable, Coroutine, Iterable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from fnmatch import fnmatchcase
 from functools import partial
@@ -44,6 +44,7 @@ from rcp_mavlink.missions import Missions
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.paramcoding import REAL
 from rcp_mavlink.parameter_defaults import ParameterDefaults
+from rcp_mavlink.parameter_hazards import check_latched
 from rcp_mavlink.parameter_transfer import ParameterTransfer
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.plan_transfer import PlanTransfer
@@ -164,7 +165,12 @@ class Robot:
         self._described = Described(config.parameters, files, offered)
         self._forwarding = Forwarding(hub, vehicle)
         transfer = ParameterTransfer(
-            vehicle, self.parameters, self._commands, self._described, self._reboot
+            vehicle,
+            self.parameters,
+            self._commands,
+            self._described,
+            self._reboot,
+            self._check_latched,
         )
         plan_files = PlanTransfer(vehicle, self.plans)
         direct = DirectCommands(hub.dialect.module, self._commands, config.commands)
@@ -376,6 +382,10 @@ class Robot:
         whole = known.type < REAL and math.isfinite(known.value)
         return int(known.value) if whole else known.value
 
+    def _check_latched(self, names: Iterable[str]) -> None:
+        if self._host.is_latched(self.scope):
+            check_latched(names, armed=self.vehicle.armed)
+
     async def _read_parameter(self, given: m.ReadParam, _: Progress) -> m.ParamValue:
         return m.ParamValue(given.name, await self.parameters.read(given.name))
 
@@ -494,6 +504,7 @@ class Robot:
             return limit
         if name.startswith("param/"):
             own = name.removeprefix("param/")
+            self._check_latched((own,))
             await self.parameters.write(own, value)
             if self.speed_limit.depends_on(own):
                 await self._flights.keep_limit()

@@ -137,7 +137,7 @@ class Run(Binding):
         if self.client is None:
             self.client = self.shared.action_clients.of(self.action, self.mapping.target)
         self.servers()
-        return self.client is not None and self.client.server_is_ready()
+        return self.client.server_is_ready()
 
     def servers(self) -> frozenset[bytes]:
         """Return the publishers of the action's status: a new one means a restarted server."""

@@ -61,4 +61,4 @@ class AtomicParameters(Binding):
             raise InvalidValue(
                 "no parameter given", remedy="Give at least one parameter with its new value."
             )
-        await self._node.set_together(wanted)
+        await self._node.set_together(wanted, self.admit)

@@ -70,7 +70,12 @@ class Ros2Backend(BaseBackend):
                 )
             parameters[one.described.name] = one.described.kind, values[name]
         [node] = {one.node for one in settings.values()}
-        await node.set_together(parameters)
+
+        def admit() -> None:
+            for one in settings.values():
+                one.admit()
+
+        await node.set_together(parameters, admit)
         return {}
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:

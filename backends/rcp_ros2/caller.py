@@ -43,25 +43,29 @@ class Caller:
         """Called before a request is sent, in the ROS thread; raises to refuse it."""
         self._client: Any = None
 
-    async def call(self, request: Any, limit: float) -> Any:
+    async def call(
+        self, request: Any, limit: float, admit: Callable[[], None] | None = None
+    ) -> Any:
         """Call the service and return the response within `limit` seconds.
+
+        `admit` checks this request as that of the constructor checks every one.
 
         :raises AdapterUnavailable: no node offers the service, or its node has disappeared.
         :raises DeviceTimeout: no response arrived in time.
         """
         await self._link.present(*self._presence)
         until = time.monotonic() + min(limit, _MATCH)
-        while (answer := await self._request(request, limit)) is _UNMATCHED:
+        while (answer := await self._request(request, limit, admit)) is _UNMATCHED:
             if time.monotonic() >= until:
                 raise AdapterUnavailable(f"no server of {self._name} is available")
             await asyncio.sleep(_PAUSE)
         return answer
 
-    async def _request(self, request: Any, limit: float) -> Any:
+    async def _request(self, request: Any, limit: float, admit: Callable[[], None] | None) -> Any:
         """Find the server and send the request in one visit to the ROS thread (0.1 ms)."""
         ticket = Ticket(self._link.host)
         sent: list[Any] = []
-        self._link.ros.submit(self._send, request, ticket, sent)
+        self._link.ros.submit(self._send, request, ticket, sent, admit or self._admit)
         watch = _Watch(ticket, limit, self._fault)
         try:
             return await ticket.answer()
@@ -79,11 +83,17 @@ class Caller:
             return DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
         return None
 
-    def _send(self, request: Any, ticket: Ticket, sent: list[Any]) -> None:
+    def _send(
+        self,
+        request: Any,
+        ticket: Ticket,
+        sent: list[Any],
+        admit: Callable[[], None] | None,
+    ) -> None:
         try:
             self.prepare()
-            if self._admit is not None:
-                self._admit()
+            if admit is not None:
+                admit()
             if not self._client.service_is_ready():
                 ticket.give(_UNMATCHED)
                 return

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -116,7 +117,7 @@ class GraphWatch:
             if name.endswith(_SEND_GOAL) and node.count_services(name)
         )
         services = {
-            name: types[0]
+            name: types[0] if len(types) == 1 else self._served(name, types)
             for name, types in offered
             if (self._matters(name) or self._matters(_owner(name)))
             and node.count_services(name)  # clients list it too
@@ -145,6 +146,16 @@ class GraphWatch:
         return Graph(
             topics, services, actions, servers, nodes, lifecycle, publishers, subscribers, disputed
         )
+
+    def _served(self, name: str, types: list[str]) -> str:
+        """Return the type that a server has: clients, also those of the gateway, list their own too."""
+        node: Any = self._ros.node
+        for owner, place in node.get_node_names_and_namespaces():
+            with suppress(Exception):  # it has just left
+                for service, own in node.get_service_names_and_types_by_node(owner, place):
+                    if service == name:
+                        return own[0]
+        return types[0]
 
     def _strangers(self, topic: str) -> int:
         """Count the subscribers except gateways, whose subscriptions do not execute commands."""

@@ -16,20 +16,19 @@ import asyncio
 import threading
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future
 from contextlib import suppress
 from typing import Any, Protocol
 
 import msgspec
 import structlog
 
-from rcp_kernel.errors import RcpError
+from rcp_kernel.errors import DeviceTimeout, RcpError
 from rcp_offers import Offered
 from rcp_ros2.cdr import Codec
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import fields_of
 from rcp_ros2.link import RosLink
-from rcp_ros2.ros import contained
+from rcp_ros2.ros import Ticket, contained
 
 __all__ = ["ActionServer", "OfferNode", "ServiceServer"]
 
@@ -74,7 +73,10 @@ class _Server(Protocol):
 
 
 class OfferNode:
-    """A node with a thread for the callbacks of servers, while there are servers."""
+    """A node with a thread for the callbacks of servers, from the first server on.
+
+    Nothing here has the ROS thread wait for it, by which stops are sent, but the end of the backend.
+    """
 
     def __init__(self, link: RosLink) -> None:
         self._link = link
@@ -85,29 +87,36 @@ class OfferNode:
         self._left: deque[_Server] = deque()
         """Those to be destroyed."""
 
-    def add(self, server: _Server) -> None:
-        """Have a server created; in the ROS thread.
+    async def add(self, server: _Server, prepare: Callable[[], None]) -> None:
+        """Have a server created, after `prepare` in the ROS thread.
 
         It is created in the thread of its callbacks: none is called before it is complete.
+
+        :raises DeviceTimeout: that thread does not come to it; `remove` it.
         """
+        created = Ticket(self._link.host)
+        await self._link.ros.call(self._begin, server, prepare, created)
+        if not await created.wait(_MAKE):
+            raise DeviceTimeout(
+                f"the thread of the offers did not create a server within {_MAKE:g} s",
+                remedy="Check the gateway's log and load, then offer it again.",
+            )
+        created.result()
+
+    def _begin(self, server: _Server, prepare: Callable[[], None], created: Ticket) -> None:
+        prepare()
         if self._node is None:
             self._open()
-        created: Future[None] = Future()
         node = self._node
 
         def run() -> None:
             try:
-                created.set_result(server.create(node))
+                created.give(server.create(node))
             except Exception as error:
-                created.set_exception(error)
+                created.fail(error)
 
         self._servers.add(server)
         self._executor.create_task(run)
-        try:
-            created.result(_MAKE)
-        except BaseException:
-            self.remove(server)
-            raise
 
     def _open(self) -> None:
         import rclpy
@@ -134,11 +143,8 @@ class OfferNode:
             executor.create_task(contained(function, *args))
 
     def remove(self, server: _Server) -> None:
-        """Have a server destroyed, and end the thread after the last one; in the ROS thread."""
+        """Have a server destroyed; in the ROS thread."""
         if server not in self._servers:
-            return
-        if len(self._servers) == 1:
-            self.close()
             return
         self._servers.discard(server)
         self._left.append(server)
@@ -194,10 +200,12 @@ class ServiceServer:
         self._send: Callable[[Any, Any], None]
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def open(self) -> None:
-        """Create the server; in the ROS thread."""
+    async def open(self) -> None:
+        """Create the server."""
+        await self._node.add(self, self._prepare)
+
+    def _prepare(self) -> None:
         self._read, self._make = _reader(self._type.Request), _maker(self._type.Response)
-        self._node.add(self)
 
     def create(self, node: Any) -> None:
         """Create it on a node; in the thread of its callbacks."""
@@ -284,11 +292,13 @@ class ActionServer:
         self._server: Any = None
         self._goals: dict[bytes, asyncio.Task[None]] = {}
 
-    def open(self) -> None:
-        """Create the server; in the ROS thread."""
+    async def open(self) -> None:
+        """Create the server."""
+        await self._node.add(self, self._prepare)
+
+    def _prepare(self) -> None:
         self._read, self._make = _reader(self._type.Goal), _maker(self._type.Result)
         self._feed = _maker(self._type.Feedback)
-        self._node.add(self)
 
     def create(self, node: Any) -> None:
         """Create it on a node; in the thread of its callbacks."""

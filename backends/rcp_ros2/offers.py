@@ -74,7 +74,7 @@ class GraphOffers:
             else:
                 server = ActionServer(self._link, type_, name, offered, self._node)
             try:
-                await self._link.ros.call(server.open)
+                await server.open()
                 progress(Waiting())  # it can be called from now on
                 await asyncio.Event().wait()
             finally:

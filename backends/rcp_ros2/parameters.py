@@ -32,6 +32,7 @@ _FIELDS = {
     9: "string_array_value",
 }
 """rcl_interfaces/msg/ParameterType, with the field of ParameterValue that holds the value."""
+Admit = Callable[[], None]
 _INT: dict[str, Any] = {"ge": -(2**63), "le": 2**63 - 1}
 
 
@@ -74,14 +75,14 @@ class NodeParameters:
         self._srv = srv
         self._callers: dict[Any, Caller] = {}
 
-    async def _call(self, srv: Any, name: str, **request: Any) -> Any:
+    async def _call(self, srv: Any, name: str, admit: Admit | None = None, **request: Any) -> Any:
         caller = self._callers.get(srv)
         if caller is None:
             address = f"{self.node}/{name}"
             caller = self._callers[srv] = Caller(
                 self._shared, srv, address, presence=("node", self.node)
             )
-        return await caller.call(srv.Request(**request), self._shared.config.timeout)
+        return await caller.call(srv.Request(**request), self._shared.config.timeout, admit)
 
     async def names(self) -> list[str]:
         """List the node's parameters, except the standard ones of every node."""
@@ -103,24 +104,28 @@ class NodeParameters:
             return None
         return plain(response.values[0])
 
-    async def set(self, name: str, kind: int, value: Any) -> None:
-        """Set a parameter.
+    async def set(self, name: str, kind: int, value: Any, admit: Admit) -> None:
+        """Set a parameter; `admit` is called in the ROS thread just before, and raises to refuse it.
 
         :raises DeviceRejected: the node refused, with its reason.
         """
         response = await self._call(
-            self._srv.SetParameters, "set_parameters", parameters=[_wrapped(name, kind, value)]
+            self._srv.SetParameters,
+            "set_parameters",
+            admit,
+            parameters=[_wrapped(name, kind, value)],
         )
         self._check(response.results[0] if response.results else None, f"set '{name}'")
 
-    async def set_together(self, values: dict[str, tuple[int, Any]]) -> None:
-        """Set several parameters, given with their types: all of them or none.
+    async def set_together(self, values: dict[str, tuple[int, Any]], admit: Admit) -> None:
+        """Set several parameters, given with their types: all of them or none; `admit` as above.
 
         :raises DeviceRejected: the node refused, with its reason.
         """
         response = await self._call(
             self._srv.SetParametersAtomically,
             "set_parameters_atomically",
+            admit,
             parameters=[_wrapped(name, kind, value) for name, (kind, value) in values.items()],
         )
         self._check(response.result, f"set {', '.join(values)} together")
@@ -297,7 +302,7 @@ class Setting(Binding):
 
     async def write(self, value: Any) -> Any:
         """Set the parameter on the node; return the resulting value."""
-        await self._node.set(self.described.name, self.described.kind, value)
+        await self._node.set(self.described.name, self.described.kind, value, self.admit)
         return None
 
     def watched(self, rate: float) -> None:

@@ -1,4 +1,4 @@
-"""The ROS thread: one context, one node, one executor.
+"""The ROS thread: one executor, one node with its context, and further ones for names with several types.
 
 rclpy is imported here and never used on the event loop. Functions run in this thread by `call` or
 `post`; results return through `Host.call_soon`.
@@ -109,7 +109,8 @@ class Ros:
         """Set when the thread has ended, intentionally or not."""
         self.on_close: list[Callable[[], None]] = []
         """Called in the thread before the node is destroyed, for what would keep it."""
-        self._context: Any = None
+        self._contexts: list[Any] = []
+        self._nodes: list[Any] = []
         self._executor: Any = None
         self._stop: Any = None
         self._submitted: deque[tuple[Context, Callable[..., None], tuple[Any, ...]]] = deque()
@@ -219,37 +220,54 @@ class Ros:
     def _open(self) -> None:
         check_middleware()
         remove_half_made()
-        import rclpy
-        from rclpy.context import Context
         from rclpy.task import Future
 
-        self._context = Context()
+        self.node = self._new_node(self.config.node)
+        self._executor = _executor(self.node.context)
+        self._executor.add_node(self.node)
+        self._stop = Future()
+
+    def add_node(self, suffix: str) -> Any:
+        """Create another node for the rest of the thread's life, with a context of its own; in the thread.
+
+        The middleware has one type of each name in a context.
+        """
+        node = self._new_node(f"{self.config.node}_{suffix}")
+        self._executor.add_node(node)
+        return node
+
+    def _new_node(self, name: str) -> Any:
+        import rclpy
+        from rclpy.context import Context
+
+        context = Context()
+        self._contexts.append(context)
         enclave = self.config.enclave
         arguments = [] if enclave is None else ["--ros-args", "--enclave", enclave]
-        rclpy.init(args=arguments, context=self._context, domain_id=self.config.domain_id)
-        self.node = rclpy.create_node(
-            self.config.node,
-            context=self._context,
+        rclpy.init(args=arguments, context=context, domain_id=self.config.domain_id)
+        node = rclpy.create_node(
+            name,
+            context=context,
             namespace=self.config.namespace,
             use_global_arguments=False,
             enable_rosout=False,
             start_parameter_services=False,
         )
-        self._executor = _executor(self._context)
-        self._executor.add_node(self.node)
-        self._stop = Future()
+        self._nodes.append(node)
+        return node
 
     def _close(self) -> None:
-        if self._executor is not None and self.node is not None:
-            _try(self._executor.remove_node, self.node)
+        if self._executor is not None:
+            for node in self._nodes:
+                _try(self._executor.remove_node, node)
         for release in self.on_close:
             _try(release)
-        if self.node is not None:
-            _try(self.node.destroy_node)
+        for node in self._nodes:
+            _try(node.destroy_node)
         if self._executor is not None:
             _try(self._executor.shutdown)
-        if self._context is not None:
-            _try(self._context.try_shutdown)
+        for context in self._contexts:
+            _try(context.try_shutdown)
 
 
 def _try(step: Callable[..., Any], *args: Any) -> None:

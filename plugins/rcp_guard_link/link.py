@@ -284,10 +284,11 @@ class GuardLink:
             stopped = any(one.robot in (None, unit.robot) for one in verified)
             if moves and not stopped and key not in self._warned:
                 self._warned.add(key)
+                named = {} if unit.robot_segment is None else {"robot": unit.robot_segment}
                 log.warning(
                     "robot_without_watchdog",
                     backend=supervisor.name,
-                    robot=unit.robot_segment,
+                    **named,
                     detail="no known watchdog or guard plan stops it if the gateway freezes or "
                     "is killed",
                 )

@@ -30,7 +30,7 @@ def _check(tables: JwtTables, gateway: GatewayConfig) -> None:
 
 
 def _make(tables: JwtTables, host: FeatureHost) -> Feature:
-    made = JwtAuthenticator(tables, host.clock, host.store("logins"))
+    made = JwtAuthenticator(tables, host.clock, host.store("logins"), host.store("keys"))
     return Feature(
         authenticator=made,
         services={OIDC: CodeFlow(made, host.clock)},

@@ -8,7 +8,8 @@ from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 from rcp_jwt.config import JwtTables
-from rcp_jwt.issuers import Issuer, Issuers
+from rcp_jwt.issuers import Issuer, Issuers, source_of
+from rcp_jwt.kept_keys import KeptKeys
 from rcp_jwt.verified import LoginProofs
 from rcp_jwt.webtokens import is_jwt
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
@@ -28,8 +29,14 @@ class JwtAuthenticator(Authenticator):
     name = "jwt"
     signed = True
 
-    def __init__(self, tables: JwtTables, clock: Clock, store: PluginStore | None = None) -> None:
-        """Create the issuers; `store` has what people have logged in with.
+    def __init__(
+        self,
+        tables: JwtTables,
+        clock: Clock,
+        store: PluginStore | None = None,
+        keys: PluginStore | None = None,
+    ) -> None:
+        """Create the issuers; `store` has what people have logged in with, `keys` the issuers' keys.
 
         :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
@@ -38,12 +45,15 @@ class JwtAuthenticator(Authenticator):
         self._clock = clock
         self._tables = tables
         self._proofs = LoginProofs(clock, store)
-        self._issuers = Issuers(tables.jwt, tables.tenants, clock, None, self._proofs)
+        self._kept = KeptKeys(clock, keys)
+        self._issuers = Issuers(tables.jwt, tables.tenants, clock, None, self._proofs, self._kept)
 
     @asynccontextmanager
     async def running(self) -> AsyncGenerator[None]:
         """Fetch the issuers' keys while entered."""
         self._running = True
+        self._kept.load({source_of(table) for table in self._tables.jwt})
+        self._issuers.recall()
         self._issuers.start(self._changed)
         looking = asyncio.create_task(self._look(), name="jwt proofs")
         try:
@@ -60,7 +70,7 @@ class JwtAuthenticator(Authenticator):
             self._proofs.drop_expired()
 
     async def _wait_for_keys(self, names: set[str]) -> None:
-        """Wait for the keys of issuers with logins: before they are there, these logins do not count."""
+        """Wait for the keys of issuers with logins: one of them may have been withdrawn meanwhile."""
         found = [one for name, one in self._issuers.issuers.items() if name in names]
         with suppress(TimeoutError):
             async with asyncio.timeout(_START):
@@ -71,7 +81,9 @@ class JwtAuthenticator(Authenticator):
 
         :raises ConfigError: as for the constructor.
         """
-        fresh = Issuers(tables.jwt, tables.tenants, self._clock, self._issuers, self._proofs)
+        fresh = Issuers(
+            tables.jwt, tables.tenants, self._clock, self._issuers, self._proofs, self._kept
+        )
         self._issuers.stop()
         self._tables, self._issuers = tables, fresh
         if self._running:

@@ -20,16 +20,17 @@ from msgspec.structs import replace
 from rcp_jwt.config import JwtConfig
 from rcp_jwt.documents import Unreachable, fetch, read_document
 from rcp_jwt.jwks import PublicKey, read_set, read_static
+from rcp_jwt.kept_keys import KeptKeys
 from rcp_jwt.login_config import LoginConfig
 from rcp_jwt.provider import Provider, discover
 from rcp_jwt.urls import shown_url
 from rcp_jwt.verified import LoginProofs, Verified, VerifiedTokens
 from rcp_jwt.webtokens import Read, check_id_token, needed_claims, principal_of, read_token, verify
-from rcp_kernel.clock import Clock
+from rcp_kernel.clock import Clock, iso
 from rcp_kernel.contract.identity import Principal, fingerprint
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
 
-__all__ = ["Issuer", "Issuers"]
+__all__ = ["Issuer", "Issuers", "source_of"]
 
 log = structlog.get_logger("rcp.jwt")
 _GAP = 3.0  # s between two fetches caused by tokens with unknown keys
@@ -41,12 +42,16 @@ _S = 1_000_000_000  # ns
 class Issuer:
     """One `[[jwt]]` table and its keys."""
 
-    def __init__(self, config: JwtConfig, before: Issuer | None = None) -> None:
+    def __init__(
+        self, config: JwtConfig, clock: Clock, kept: KeptKeys, before: Issuer | None = None
+    ) -> None:
         """Create the issuer; it takes over the keys of `before` if their source is the same.
 
         :raises ConfigError: a static key is invalid.
         """
         self.config = config
+        self._now = clock.now
+        self._kept = kept
         where = f"[[jwt]] '{config.issuer}'"
         self.keys: tuple[PublicKey, ...] = read_static(config.keys, where) if config.keys else ()
         self.facts: dict[str, Any] = {"name": f"jwt {shown_url(config.issuer)}", "state": "ready"}
@@ -63,7 +68,7 @@ class Issuer:
         self._task: asyncio.Task[None] | None = None
         self._wanted = asyncio.Event()
         self._round: asyncio.Future[None] | None = None
-        if before is not None and _source(before.config) == _source(config) and not config.keys:
+        if before is not None and source_of(before.config) == source_of(config) and not config.keys:
             self.keys, self.fetched = before.keys, before.fetched
             self.provider = before.provider
 
@@ -71,6 +76,15 @@ class Issuer:
     def fetches(self) -> bool:
         """Whether its keys are on a server."""
         return not self.config.keys
+
+    def recall(self) -> None:
+        """Take over the keys that were fetched in an earlier run, for the rest of their `lifetime`."""
+        if not self.fetches or self.fetched is not None:
+            return
+        found = self._kept.recall(source_of(self.config), self.config.lifetime)
+        if found is not None:
+            self.keys = found.keys
+            self.fetched = asyncio.get_running_loop().time() - found.age
 
     def start(self, changed: Callable[[], None]) -> None:
         """Fetch the keys periodically; `changed` is called when a key becomes invalid."""
@@ -120,6 +134,7 @@ class Issuer:
     def _lapsed(self) -> None:
         self._lapse, self.stale = None, True
         log.error("jwt_keys_lapsed", issuer=shown_url(self.config.issuer), keys=len(self.keys))
+        self.facts["detail"] = "its keys have not been fetched for too long, and count no more"
         self._changed()
 
     async def ask(self) -> None:
@@ -175,6 +190,10 @@ class Issuer:
                     "jwt_keys_unreachable", issuer=shown_url(self.config.issuer), reason=found
                 )
             self.facts |= {"state": "down", "detail": f"its keys cannot be fetched: {found}"}
+            if self.fetched is not None and not self.stale:
+                left = self.fetched + self.config.lifetime - asyncio.get_running_loop().time()
+                until = iso(self._now() + int(left) * _S)
+                self.facts["detail"] += f"; the last ones count until {until}"
             return
         if self._failures:
             log.info("jwt_keys_fetched", issuer=shown_url(self.config.issuer), keys=len(found))
@@ -185,6 +204,7 @@ class Issuer:
         self.facts.pop("detail", None)
         gone = {key.thumbprint for key in self.keys} - {key.thumbprint for key in found}
         self.keys = found
+        self._kept.keep(source_of(self.config), found)
         if gone:
             self._changed()
 
@@ -193,8 +213,9 @@ def _nobody() -> None:
     """Do nothing: the default of `changed`."""
 
 
-def _source(config: JwtConfig) -> tuple[object, ...]:
-    return config.issuer, config.keys, config.jwks_url, config.discovery
+def source_of(config: JwtConfig) -> str:
+    """Return what tells apart where keys come from."""
+    return repr((config.issuer, config.keys, config.jwks_url, config.discovery))
 
 
 class Issuers:
@@ -207,25 +228,32 @@ class Issuers:
         clock: Clock,
         before: Issuers | None = None,
         proofs: LoginProofs | None = None,
+        kept: KeptKeys | None = None,
     ) -> None:
         """Create the issuers; the keys and cache of `before` are taken over.
 
-        `proofs` are what people have logged in with.
+        `proofs` are what people have logged in with, `kept` the keys of earlier runs.
 
         :raises ConfigError: a static key is invalid, or two tables have the same issuer.
         """
         old = {} if before is None else before.issuers
+        keys = KeptKeys(clock, None) if kept is None else kept
         self.issuers: dict[str, Issuer] = {}
         for config in configs:
             if config.issuer in self.issuers:
                 raise ConfigError(f"two [[jwt]] tables have the issuer '{config.issuer}'")
-            self.issuers[config.issuer] = Issuer(config, old.get(config.issuer))
+            self.issuers[config.issuer] = Issuer(config, clock, keys, old.get(config.issuer))
         self._tenants = tenants
         self._now = clock.now
         self._tables = object()
         self.verified = VerifiedTokens(clock) if before is None else before.verified
         """Tokens of programs."""
         self._proofs = LoginProofs(clock, None) if proofs is None else proofs
+
+    def recall(self) -> None:
+        """Take over the keys of an earlier run, for issuers that cannot be reached."""
+        for issuer in self.issuers.values():
+            issuer.recall()
 
     def start(self, changed: Callable[[], None]) -> None:
         """Start fetching; `changed` is called after a key was removed or has expired."""

@@ -16,7 +16,7 @@ from rcp_protocol.plain import is_list, is_map
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.types import PublicKeyTypes
 
-__all__ = ["PublicKey", "read_set", "read_static"]
+__all__ = ["PublicKey", "der_of", "read_der", "read_set", "read_static"]
 
 _MOST = 64  # keys of one issuer
 _RSA_BITS = 2048  # RFC 8725, 3.5
@@ -88,6 +88,30 @@ def _made(key: PublicKeyTypes, kid: str | None) -> PublicKey | None:
         return None
     der = key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     return PublicKey(kid, algorithm, key, hashlib.sha256(der).hexdigest())
+
+
+def der_of(key: PublicKey) -> bytes:
+    """Return a key in the form that `read_der` takes."""
+    from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+    return key.key.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
+
+
+def read_der(kid: str | None, der: bytes) -> PublicKey:
+    """Return a key from its DER form.
+
+    :raises ValueError: it is none that this gateway supports.
+    """
+    from cryptography.exceptions import UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.serialization import load_der_public_key
+
+    try:
+        made = _made(load_der_public_key(der), kid)
+    except UnsupportedAlgorithm as error:
+        raise ValueError(str(error)) from None
+    if made is None:
+        raise ValueError("the key type is not supported")
+    return made
 
 
 def read_static(

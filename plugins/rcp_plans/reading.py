@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rcp_conditions import Condition, ConditionTooCostly, condition
-from rcp_kernel.errors import ConfigError, InvalidValue, OutOfRange
+from rcp_conditions import Condition, ConditionsMissing, ConditionTooCostly, condition
+from rcp_kernel.errors import ConfigError, InvalidValue, NotImplementedByRobot, OutOfRange
 from rcp_plans.pace import Allowance
 
 __all__ = ["ConditionReader"]
@@ -32,6 +32,7 @@ class ConditionReader:
 
         :raises OutOfRange: it is too costly, or all conditions together are too long.
         :raises InvalidValue: it is invalid.
+        :raises NotImplementedByRobot: nothing here evaluates conditions.
         """
         if text not in self._texts:
             self._texts.add(text)
@@ -48,5 +49,9 @@ class ConditionReader:
                 return condition(text)
         except ConditionTooCostly as error:
             raise OutOfRange(f"`{name}`: {error}", remedy=error.remedy, details=details) from None
+        except ConditionsMissing as error:
+            raise NotImplementedByRobot(
+                "this gateway does not evaluate conditions", remedy=error.remedy, details=details
+            ) from None
         except ConfigError as error:
             raise InvalidValue(f"`{name}`: {error}", details=details) from None

@@ -185,7 +185,7 @@ def rcp_features() -> Iterable[FeatureKind]:
             TriggersConfig,
             _make,
             __doc__ or "",
-            needs=("aiosmtplib", "httpx"),
+            needs=("aiosmtplib", "cel", "httpx"),
             check=check,
             grants={"agent": (look,), "operator": (look, use)},
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Coroutine, Iterable, Iterator, Mapping
 from typing import Any
 
+from rcp_conditions import ConditionsMissing
 from rcp_kernel.clock import iso
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import (
@@ -106,6 +107,10 @@ class TriggerService:
     def _add(self, session: Session, wanted: NewTrigger, *, dry_run: bool) -> TriggerReply:
         try:
             conditions = Conditions(wanted)
+        except ConditionsMissing as error:
+            raise NotImplementedByRobot(
+                "this gateway does not evaluate conditions", path=TRIGGERS, remedy=error.remedy
+            ) from None
         except (ConfigError, RcpError) as error:
             raise InvalidValue(str(error), path=TRIGGERS) from None
         tenant = conditions.robots.tenant

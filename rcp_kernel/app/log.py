@@ -17,6 +17,9 @@ __all__ = ["Recent", "configure"]
 _KEPT = 100  # warnings that `/system/status` shows
 
 
+_OWN_KEYS = frozenset(("timestamp", "level", "logger", "event", "exc_info", "exception"))
+
+
 class Recent:
     """The last warnings and errors, and the callbacks for new ones."""
 
@@ -38,7 +41,7 @@ class Recent:
                 "facts": {
                     key: value if isinstance(value, (int, float, bool)) else str(value)
                     for key, value in event.items()
-                    if key not in ("timestamp", "level", "logger", "event", "exc_info", "exception")
+                    if value is not None and key not in _OWN_KEYS
                 },
             }
             self.records.append(record)

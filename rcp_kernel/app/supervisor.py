@@ -555,6 +555,11 @@ class BackendSupervisor:
             self._hub.demand.backend_changed(list(self.entries.values()))
             self._registry.state_changed()
 
+    @property
+    def closes(self) -> bool:
+        """Whether it is closed, or being closed, for good."""
+        return self._closing.is_set()
+
     def retire(self) -> None:
         """Let nothing move any more: the configuration has this backend no longer."""
         self.whole.retired = Latch("the gateway", "the backend is being closed")

@@ -203,6 +203,11 @@ class System(BaseBackend):
         """There is nothing to stop."""
         return []
 
+    @property
+    def closes(self) -> bool:
+        """It is open as long as the gateway runs."""
+        return False
+
     def unavailable(self) -> RcpError:
         """Never called."""
         return UnknownPath("the gateway is closing")

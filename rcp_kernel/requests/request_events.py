@@ -94,7 +94,7 @@ class RequestEvents:
                     tenant=entry.tenant,
                     path=entry.path,
                     outcome="ok" if reply.error is None else reply.error["code"],
-                    facts={"message": reply.message},
+                    facts={"message": reply.message, "latched": _latched(entry)},
                 )
             )
             answer(reply if gate.lost == lost else gate.confirmed(reply, lost))
@@ -120,7 +120,11 @@ class RequestEvents:
                         tenant=call.entry.tenant,
                         path=call.entry.path,
                         outcome="ok" if reply.error is None else reply.error["code"],
-                        facts={"message": reply.message, "together": together},
+                        facts={
+                            "message": reply.message,
+                            "together": together,
+                            "latched": _latched(call.entry),
+                        },
                     )
                 )
             answer(gate.confirmed(reply, lost))
@@ -142,3 +146,8 @@ class RequestEvents:
             touches=touches,
             value=None if own else value,
         )
+
+
+def _latched(entry: Entry) -> bool | None:
+    """Return True for a path of a robot that is stopped, else None: most are not."""
+    return True if entry.unit.latch is not None else None

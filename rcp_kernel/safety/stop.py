@@ -182,11 +182,15 @@ class StopController:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        for stop in self._stops.values():
-            stop.released = True
-            for task in stop.tasks:
-                task.cancel()
-        self._stops.clear()
+        for stop in list(self._stops.values()):
+            self._drop(stop)
+
+    def _drop(self, stop: Stop) -> None:
+        """Stop repeating a stop that nothing can send any more."""
+        del self._stops[stop.unit]
+        stop.released = True
+        for task in stop.tasks:
+            task.cancel()
 
     # -- the halts -----------------------------------------------------------------------------
 
@@ -350,6 +354,8 @@ class StopController:
                 continue
             if stop.unit.latch is None:
                 self.end([stop.unit])
+            elif stop.unit.backend is None and stop.unit.owner.closes:
+                self._drop(stop)
             elif stop.unit.backend is None:
                 self._mark_unconfirmed(stop, stop.unit.owner.unavailable().message)
             else:

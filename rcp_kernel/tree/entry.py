@@ -90,6 +90,11 @@ class Owner(Protocol):
         """The open backend, or None while it is not ready."""
         ...
 
+    @property
+    def closes(self) -> bool:
+        """Whether it is closed, or being closed, for good."""
+        ...
+
     def unavailable(self) -> RcpError:
         """Return the error that says why there is no backend now."""
         ...

@@ -223,3 +223,64 @@ func TestARenewalThatHangsLeavesTimeForAnother(t *testing.T) {
 		t.Error(err)
 	}
 }
+
+// leases serves leases, and notes what it is asked to do.
+func leases(did chan<- string, before func(do string, r *http.Request)) *httptest.Server {
+	return httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		var asked struct{ Do string }
+		_ = json.NewDecoder(r.Body).Decode(&asked)
+		did <- asked.Do
+		before(asked.Do, r)
+		state(w, map[string]any{"lease": "lease-1"})
+	}))
+}
+
+func TestALeaseIsLostWithItsTimeThoughARenewalIsUnderWay(t *testing.T) {
+	did := make(chan string, 9)
+	server := leases(did, func(do string, r *http.Request) {
+		if do == "renew" {
+			<-r.Context().Done()
+		}
+	})
+	defer server.Close()
+	lease, err := Acquire(context.Background(), New(server.URL, ""), "/tenant/alpha", 600*time.Millisecond)
+	if err != nil {
+		t.Fatal(err)
+	}
+	<-lease.Context.Done()
+	if err := lease.Err(); err == nil || !strings.Contains(err.Error(), "expired") {
+		t.Errorf("lost: %v", err)
+	}
+}
+
+func TestALeaseIsGivenBackThoughTheContextHasEnded(t *testing.T) {
+	did := make(chan string, 9)
+	server := leases(did, func(string, *http.Request) {})
+	defer server.Close()
+	ctx, end := context.WithCancel(context.Background())
+	lease, err := Acquire(ctx, New(server.URL, ""), "/tenant/alpha", time.Minute)
+	if err != nil {
+		t.Fatal(err)
+	}
+	end()
+	if err := lease.Release(ctx); err != nil || <-did != "acquire" || <-did != "release" {
+		t.Errorf("released: %v", err)
+	}
+}
+
+func TestALeaseThatIsGrantedAsTheContextEndsIsGivenBack(t *testing.T) {
+	did := make(chan string, 9)
+	ctx, end := context.WithCancel(context.Background())
+	server := leases(did, func(do string, _ *http.Request) {
+		if do == "acquire" {
+			end()
+		}
+	})
+	defer server.Close()
+	if _, err := Acquire(ctx, New(server.URL, ""), "/tenant/alpha", time.Minute); !errors.Is(err, context.Canceled) {
+		t.Errorf("acquired: %v", err)
+	}
+	if <-did != "acquire" || <-did != "release" {
+		t.Error("it is still held")
+	}
+}

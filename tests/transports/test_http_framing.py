@@ -121,6 +121,7 @@ async def test_trailers_are_no_headers(gateway: Site) -> None:
     [
         (get(b""), 400),
         (get(HOST + HOST), 400),
+        (get(HOST + b"Authorization: Bearer a\r\nAuthorization: Bearer b\r\n"), 400),
         (get(b"Host: a b/c\r\n"), 400),
         (get(b"Host: [::1\r\n"), 400),
         (get(b"Host: evil@localhost\r\n"), 400),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import json
 
 import httpx
 import pytest
 
+from rcp_http.request import HttpRequest
+from rcp_scheduling.turns import Turns
 from transports.raw import TEXT, frame, opened
 from transports.robot import BOUND, KEY, Site, site
 
@@ -90,3 +93,26 @@ async def test_what_was_answered_before_another_connection_took_over_still_comes
                 for number in range(20):
                     assert (await raw.reply())["id"] == f"{number}"
                 assert await raw.closed() == 1008
+
+
+async def test_long_bodies_that_arrive_together_have_a_turn_each() -> None:
+    turns = Turns(asyncio.get_running_loop())
+    head = {"headers": [], "method": "PUT", "path": "/", "query_string": b""}
+    taken: list[int] = []
+
+    async def read() -> None:
+        parts = [b"x" * 200_000, b"y" * 200_000]
+
+        async def receive() -> dict[str, object]:
+            return {"type": "http.request", "body": parts.pop(0), "more_body": bool(parts)}
+
+        http = HttpRequest(head)
+        body = await http.body(receive, 1_000_000, 60.0, turns, "one")
+        assert len(body) == 400_000
+        turns.add(1.0)  # what follows from it
+        taken.append(turns.number)
+
+    async with asyncio.timeout(BOUND), asyncio.TaskGroup() as group:
+        for _ in range(8):
+            group.create_task(read())
+    assert len(set(taken)) == 8

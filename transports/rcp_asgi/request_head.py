@@ -81,12 +81,16 @@ def check_head(method: bytes, version: str, target: bytes, headers: Headers) -> 
         raise UnknownVersion(f"HTTP/{version} is not supported")
     if method == b"CONNECT":
         raise UnknownMethod("this gateway is not a proxy")
-    host = coding = length = None
+    host = coding = length = proof = None
     for name, value in headers:
         if name == b"host":
             if host is not None:
                 raise Malformed("the request has more than one Host header")
             host = value
+        elif name == b"authorization":
+            if proof is not None:
+                raise Malformed("the request has more than one Authorization header")
+            proof = value
         elif name == b"transfer-encoding":
             coding = value if coding is None else coding + b"," + value
         elif name == b"content-length" and length is None:

@@ -62,10 +62,10 @@ class HttpApp:
             http.negotiate()
             if path.startswith(_CONTEXT):
                 session = http.session(self._client_api) or await http.waited(self._client_api)
+                rest = path[len(_CONTEXT) - 1 :]
                 if http.method == "GET":
-                    await self._context.read(http, session, path[len(_CONTEXT) - 1 :], send)
+                    await self._context.read(http, session, rest, receive, send)
                 else:
-                    rest = path[len(_CONTEXT) - 1 :]
                     await self._on_context(http, session, rest, receive, send)
             elif path == MESSAGES:
                 await self._on_messages(http, receive, send)

@@ -63,8 +63,8 @@ class Call:
     def download(self, download: Download) -> ASGIApp:
         """Answer with a file."""
 
-        async def answer(_scope: Any, _receive: Any, send: Any) -> None:
-            await send_download(send, self.http, self.session, download)
+        async def answer(_scope: Any, receive: Any, send: Any) -> None:
+            await send_download(receive, send, self.http, self.session, download)
 
         return answer
 

@@ -91,10 +91,12 @@ class Context:
         self._answers = answers
         self._turns = client_api.turns
 
-    async def read(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
+    async def read(
+        self, http: HttpRequest, session: Session, path: str, receive: Receive, send: Send
+    ) -> None:
         """GET: the value."""
         if not http.query.keys().isdisjoint(_HISTORIC):
-            await self._history(http, session, path, send)
+            await self._history(http, session, path, receive, send)
             return
         if http.query:
             http.allow("fields", "fresh", "frame", "q", "limit", "cursor")
@@ -128,14 +130,17 @@ class Context:
                 )
         await self._answers.reply(send, http, reply)
 
-    async def _history(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
+    async def _history(
+        self, http: HttpRequest, session: Session, path: str, receive: Receive, send: Send
+    ) -> None:
         """Answer with what was recorded."""
         http.allow(*HISTORY)
         self._client_api.charge(session)
         found, wanted = recordings(self._client_api), history_options(http, path)
         format_ = http.one("format") or "json"
         if format_ != "json":
-            await send_download(send, http, session, await found.table(session, wanted, format_))
+            table = await found.table(session, wanted, format_)
+            await send_download(receive, send, http, session, table)
             return
         page = await found.page(session, wanted, http.encoding)
         request = http.request("read", path)
@@ -210,10 +215,12 @@ class Context:
         http.check_unconditional()
         client_api = self._client_api
         limit = client_api.longest(session.principal)
-        data = await http.body(receive, limit, self._config.body_timeout)
+        owner = session.principal.identity
+        data = await http.body(receive, limit, self._config.body_timeout, self._turns, owner)
         if len(data) > client_api.limits.unproved:
             client_api.check_pace(session)
-        http.put_body(request, data)
+        with self._turns.spending():
+            http.put_body(request, data)
 
     async def options(self, http: HttpRequest, session: Session, path: str, send: Send) -> None:
         """OPTIONS: the methods of the resource."""

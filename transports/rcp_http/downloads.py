@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+from collections.abc import AsyncIterator
 from contextlib import aclosing
 from typing import Any, cast
 
@@ -12,7 +13,7 @@ from rcp_http.request import HttpRequest
 from rcp_kernel.api import Session
 from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import NotImplementedByRobot, RcpError
-from rcp_web.asgi import Headers, Send, respond
+from rcp_web.asgi import Headers, Receive, Send, respond
 from rcp_web.downloads import RECORDINGS, Download, Recordings
 from rcp_web.ranges import byte_range
 
@@ -48,9 +49,13 @@ def history_options(http: HttpRequest, path: str) -> dict[str, Any]:
 
 
 async def send_download(
-    send: Send, http: HttpRequest, session: Session, download: Download
+    receive: Receive, send: Send, http: HttpRequest, session: Session, download: Download
 ) -> None:
-    """Answer with a file, or a part of it where its size is known; a session that ends ends it."""
+    """Answer with a file, or a part of it where its size is known.
+
+    It ends with the session, and as soon as the client is gone: a listener discards what is sent to
+    nobody, and the file would be read to its end.
+    """
     size, headers = download.size, _headers(download)
     start, stop, status = 0, size, 200
     if size is not None:
@@ -68,14 +73,36 @@ async def send_download(
                 (start, stop), status = part, 206
                 headers.append((b"content-range", b"bytes %d-%d/%d" % (start, stop - 1, size)))
         headers.append((b"content-length", b"%d" % ((stop or 0) - start)))
-    # The first piece tells whether there is an answer at all.
+    head = {"type": "http.response.start", "status": status, "headers": headers}
+    sending = asyncio.ensure_future(_send_pieces(send, session, head, download.pieces(start, stop)))
+    gone = asyncio.ensure_future(_until_gone(receive))
+    try:
+        await asyncio.wait((sending, gone), return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        gone.cancel()
+        if not sending.done():
+            sending.cancel()
+            await asyncio.wait((sending,))
+    if not sending.cancelled():
+        sending.result()
+
+
+async def _until_gone(receive: Receive) -> None:
+    """Return once the client has closed the connection."""
+    while (await receive())["type"] != "http.disconnect":
+        pass
+
+
+async def _send_pieces(
+    send: Send, session: Session, head: dict[str, Any], download: AsyncIterator[bytes]
+) -> None:
     over: list[RcpError] = []
     ended = over.append
     session.endings.add(ended)
     try:
-        async with aclosing(cast("Any", download.pieces(start, stop))) as pieces:
-            first = await anext(pieces, b"")
-            await send({"type": "http.response.start", "status": status, "headers": headers})
+        async with aclosing(cast("Any", download)) as pieces:
+            first = await anext(pieces, b"")  # tells whether there is an answer at all
+            await send(head)
             await _send(send, first)
             async for piece in pieces:
                 if over:

@@ -35,14 +35,16 @@ class Messages:
         http.allow()
         client_api = self._client_api
         limit = client_api.longest(session.principal)
-        data = await http.body(receive, limit, self._config.body_timeout)
+        turns, owner = client_api.turns, session.principal.identity
+        data = await http.body(receive, limit, self._config.body_timeout, turns, owner)
         if len(data) > client_api.limits.unproved:
             client_api.check_pace(session)
         encoding = body_encoding(http.headers.get("content_type", b"")) or Encoding.JSON
         if "accept" not in http.headers or http.headers["accept"] == b"*/*":
             http.encoding = encoding
         try:
-            request = decode_request(data, encoding)
+            with turns.spending():
+                request = decode_request(data, encoding)
             if request.type in _STREAMS:
                 raise UnsupportedOperation(
                     f"`{request.type}` is not available over HTTP",

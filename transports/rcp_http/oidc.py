@@ -14,7 +14,14 @@ from litestar.types import ASGIApp
 
 from rcp_kernel.api import to_internal_error
 from rcp_kernel.client_api import ClientApi
-from rcp_kernel.errors import BadRequest, Forbidden, RcpError, Unauthenticated, UnknownPath
+from rcp_kernel.errors import (
+    BadRequest,
+    Forbidden,
+    RateLimited,
+    RcpError,
+    Unauthenticated,
+    UnknownPath,
+)
 from rcp_web.application import Asked, response, scope_of
 from rcp_web.asgi import Headers, Scope, header, peer_of, retry_after
 from rcp_web.logins import LOGINS, LoginService, login_cookie, shown_login
@@ -163,7 +170,7 @@ def _refused(
 ) -> ASGIApp:
     """Answer with a page that says what is wrong, and where to go on."""
     client_api.refused("login", error.code)
-    if isinstance(error, (Unauthenticated, Forbidden)):
+    if isinstance(error, (Unauthenticated, Forbidden, RateLimited)):
         client_api.turned_away(peer_of(scope), error)
     links = ""
     oidc = client_api.service(OIDC)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from contextlib import suppress
 from typing import Any
 
@@ -17,11 +18,13 @@ from rcp_kernel.errors import BadRequest, NotImplementedByRobot
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request
 from rcp_protocol.trace import TRACEPARENT, TRACESTATE
-from rcp_web.asgi import Receive, Scope, bearer, peer_of, read_body, too_large
+from rcp_scheduling.turns import Turns
+from rcp_web.asgi import Receive, Scope, bearer, peer_of, read_parts, too_large
 from rcp_web.query import read_query, single
 
 __all__ = ["HttpRequest", "count", "flag", "number"]
 
+_LONG = 256 * 1024  # bytes of a body that waits for a turn
 _FIELDS = (
     "deadline",
     "valid_for",
@@ -219,8 +222,10 @@ class HttpRequest:
                     remedy="Omit the header; acquire a lease for exclusive control.",
                 )
 
-    async def body(self, receive: Receive, limit: int, patience: float) -> bytes:
-        """Read the body.
+    async def body(
+        self, receive: Receive, limit: int, patience: float, turns: Turns, owner: Hashable
+    ) -> bytes:
+        """Read the body; a long one waits for a turn of `owner`, and there is one in each turn.
 
         :raises PayloadTooLarge: it exceeds `limit`.
         :raises DeadlineExceeded: it did not arrive in time.
@@ -238,7 +243,12 @@ class HttpRequest:
         length = self.headers.get("content_length", b"")
         if length.isdigit() and int(length) > limit:
             raise too_large(limit)
-        return await read_body(receive, limit, patience)
+        parts = await read_parts(receive, limit, patience)
+        if sum(map(len, parts)) < _LONG:
+            return b"".join(parts)
+        await turns.wait(owner)
+        with turns.spending():
+            return b"".join(parts)
 
     def put_body(self, request: Request, data: bytes) -> None:
         """Decode the HTTP body into the request's body, by its Content-Type.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from rcp_can.bus import Bus, Route
 from rcp_can.dronecan.library import make, type_id, type_name
+from rcp_can.dronecan.node_status import OFFLINE
 from rcp_can.dronecan.transfers import (
     TRANSFER_IDS,
     Assembler,
@@ -50,6 +51,8 @@ class Port:
         self._turns: defaultdict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._asked: dict[tuple[int, int, int], asyncio.Future[Any]] = {}
         self._assembler = Assembler(_ASKED)
+        self._doubled: float | None = None
+        """When another node with the same id was last heard."""
         bus.listen(self._take, Route(0x80 | self.node << 8, 0x7F80, extended=True))
         bus.listen(self._notice_double, message_route(NODE_STATUS, self.node))
 
@@ -119,6 +122,7 @@ class Port:
     async def run(self) -> None:
         """Report the own state until cancelled."""
         while True:
+            self._forget_double()
             with suppress(RcpError):  # the bus state reports it
                 self.broadcast(self._status(), priority=_LOW)
             await asyncio.sleep(_PERIOD)
@@ -168,4 +172,10 @@ class Port:
             f"another node of CAN bus '{self.bus.name}' has the gateway's DroneCAN id {self.node}:"
             " give the bus another `dronecan_node`, or that node another id"
         )
+        self._doubled = time.monotonic()
         self.bus.health.report(f"dronecan {self.bus.name}", text)
+
+    def _forget_double(self) -> None:
+        if self._doubled is not None and time.monotonic() - self._doubled > OFFLINE:
+            self._doubled = None
+            self.bus.health.report(f"dronecan {self.bus.name}", None)

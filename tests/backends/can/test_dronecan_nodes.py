@@ -180,6 +180,20 @@ async def test_another_node_with_the_gateways_id_is_reported() -> None:
         )
 
 
+async def test_another_node_with_the_gateways_id_that_has_left_is_no_fault_any_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rcp_can.dronecan.port.OFFLINE", 0.05)
+    monkeypatch.setattr("rcp_can.dronecan.port._PERIOD", 0.02)
+    async with field(DronecanTwin(40), dronecan={"mast": {"bus": "can0", "node": 40}}) as rig:
+        with Ear(rig.channel) as ear:
+            status = make("protocol.NodeStatus", uptime_sec=5)
+            ear.send(encode(status, source=126, transfer_id=1, priority=16))
+            told = rig.host.reports
+            await rig.host.until(lambda: any("has the gateway's" in (r or "") for r in told))
+            await rig.host.until(lambda: told[-1] is None)
+
+
 @pytest.mark.parametrize(
     ("reports", "restarted"),
     [

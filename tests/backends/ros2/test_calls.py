@@ -11,7 +11,14 @@ from typing import Any
 import pytest
 
 from backends.ros2.robot import BOUND, Peer, Robot, ignore, robot_of
-from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, DeviceTimeout
+from rcp_kernel.contract.fence import permitted
+from rcp_kernel.errors import (
+    AdapterUnavailable,
+    Cancelled,
+    DeviceRejected,
+    DeviceTimeout,
+    EstopActive,
+)
 from rcp_kernel.model import Operation
 from rcp_kernel.values import value_type
 
@@ -175,6 +182,41 @@ async def test_two_paths_of_one_parameter_are_told_of_its_changes(domain: int, p
                 await robot.until(lambda: robot.of("param/a")[-1] == robot.of("param/b")[-1] == 0.6)
             await robot.backend.write("param/b", 0.5)
             await robot.until(lambda: robot.of("param/a")[-1] == 0.5)
+
+
+class Unit:
+    """What a permit is for."""
+
+    name = "ros2"
+    stops = 0
+
+
+async def test_a_stop_bars_parameters_that_are_said_to_move(domain: int, peer: Peer) -> None:
+    target = {"node": "/peer", "parameter": "max_speed"}
+    several = {"node": "/peer", "parameters": ["max_speed"], "moves": True}
+    mapped = {
+        "/param/moving": {**target, "moves": True},
+        "/param/plain": target,
+        "/service/moving": several,
+    }
+    async with robot_of(domain, map=mapped) as robot:
+        await robot.until(lambda: {name[1:] for name in mapped} <= robot.resources.keys())
+        await robot.backend.write("param/plain", 0.5)
+        unit = Unit()
+        with permitted(unit, unit.stops):
+            given = robot.input("service/moving", {"max_speed": 0.75})
+            barred = [
+                asyncio.ensure_future(robot.backend.write("param/moving", 0.75)),
+                asyncio.ensure_future(robot.backend.write_together({"param/moving": 0.75})),
+                asyncio.ensure_future(robot.backend.execute("service/moving", given, ignore)),
+            ]
+            plain = asyncio.ensure_future(robot.backend.write("param/plain", 0.25))
+        unit.stops += 1  # before any of them has run
+        for request in barred:
+            with pytest.raises(EstopActive):
+                await request
+        await plain
+        assert await robot.read("param/moving") == 0.25
 
 
 async def test_a_parameter_the_node_refuses_is_a_refusal_with_its_reason(robot: Robot) -> None:

@@ -85,6 +85,16 @@ async def test_a_write_is_on_record_with_who_what_and_what_came_of_it(world: Wor
     assert len(record["session"]) == 8
 
 
+async def test_a_write_to_a_stopped_robot_says_so_on_record(world: World) -> None:
+    client = world.client()
+    assert (await client.ask(type="write", path=LIMIT, body=1.0))["status"] == "completed"
+    await client.ask(type="execute", path="/system/estop")
+    assert (await client.ask(type="write", path=LIMIT, body=1.1))["status"] == "completed"
+    assert (await client.ask(type="write", body={LIMIT: 1.2}))["status"] == "completed"
+    told = [r.get("latched") for r in await records(world, what="write")]
+    assert told == [None, True, True]
+
+
 async def test_a_command_is_on_record_twice_with_what_the_robot_said(world: World) -> None:
     client = world.client()
     final = await client.ask(type="execute", path=GO, body=13)

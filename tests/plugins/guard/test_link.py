@@ -144,6 +144,7 @@ async def test_a_robot_that_nothing_would_stop_is_a_warning_once(
         found = await report(client)
         said = [r for r in found["warnings"] if r["message"] == "robot_without_watchdog"]
         assert len(said) == (1 if warned else 0)
+        assert all("robot" not in one["facts"] for one in said)  # it has no name of its own
         assert [w["mechanism"] for w in found["guard"]["watchdogs"]] == [
             w.mechanism for w in watchdogs
         ]

@@ -347,6 +347,18 @@ async def test_a_failed_login_is_on_record(issuer: Issuer) -> None:
         assert "its `nonce` is another" in newest["message"]
 
 
+async def test_a_login_that_is_refused_for_the_many_before_is_on_record(issuer: Issuer) -> None:
+    async with (
+        people_logging_in(issuer, "[limits]\nfailed_logins = 1\n") as gateway,
+        httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser,
+    ):
+        assert [(await back(browser, issuer, nonce="x")).status_code for _ in "ab"] == [401, 429]
+        kernel = gateway.server.kernel
+        await settled(kernel.store)
+        newest = kernel.registry.entries["/system/audit"].ring[-1].value
+        assert (newest["what"], newest["outcome"]) == ("denial", "rate_limited")
+
+
 async def test_wrong_codes_of_one_address_are_slowed_and_no_burden_to_the_issuer(
     issuer: Issuer,
 ) -> None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import AsyncGenerator, Callable
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import httpx
@@ -16,7 +17,7 @@ import pytest
 from certs import Authority
 from configuration import configuration, listener, table, tls
 from issuer import Issuer, issuing
-from kernel.world import prepared
+from kernel.world import prepared, settled
 from openid import CLIENT, SECRET, login_table
 from plugins.jwt.people import BACK, BEGIN, LOGIN, TOP, back, people_logging_in
 from rcp_jwt import authenticator
@@ -86,6 +87,11 @@ async def principal(gateway: Site, secret: str) -> str | None:
         return (await browser.get(LOGIN)).json()["principal"]
 
 
+def facts(gateway: Site) -> list[dict[str, Any]]:
+    """Return what the health report says of the ways to prove oneself."""
+    return list(gateway.server.kernel.identities.facts)
+
+
 def written(folder: Path) -> bytes:
     return b"".join(file.read_bytes() for file in folder.iterdir())
 
@@ -111,7 +117,16 @@ async def test_logins_outlive_a_restart_unless_they_were_ended_or_their_key_is_g
     monkeypatch.setattr(authenticator, "_START", 0.05)
     issuer.status = b"503 No"
     async with people_logging_in(issuer, folder=tmp_path) as gateway:
-        assert await principal(gateway, kept) is None  # nobody knows whether its key is still good
+        assert await principal(gateway, kept) == "ann"  # its key was good a moment ago
+        (keys,) = [fact for fact in facts(gateway) if fact["name"].startswith("jwt ")]
+        assert keys["state"] == "down"
+        assert "the last ones count until 20" in keys["detail"]
+        store = gateway.server.kernel.store
+        await settled(store)
+        ((source, row),) = store.load("jwt.keys").items()
+        store.put("jwt.keys", source, row | {"fetched": row["fetched"] - 86_400 * 10**9})
+    async with people_logging_in(issuer, folder=tmp_path) as gateway:
+        assert await principal(gateway, kept) is None  # they were fetched a day ago
     issuer.status = b"200 OK"
     issuer.add("k2")
     issuer.listed.remove("k1")

@@ -7,10 +7,12 @@ import (
 	"time"
 )
 
+var errExpired = errors.New("the lease expired: it could not be renewed in time")
+
 // Lease is exclusive control of a part of the tree, renewed until it is released or lost. It holds for everything
 // that is sent with the same token.
 type Lease struct {
-	// Context ends when the lease is lost or released: commands under it are then cancelled.
+	// Context ends when the lease is lost or released, and with its time at the latest: commands under it are then cancelled.
 	Context context.Context
 
 	gateway *Gateway
@@ -28,16 +30,23 @@ type leaseState struct {
 }
 
 // Acquire takes a lease on a scope, such as /tenant/alpha/actuator. It lapses ttl after the last renewal that succeeded.
+// A lease that was granted as ctx ended is given back.
 func Acquire(ctx context.Context, g *Gateway, scope string, ttl time.Duration) (*Lease, error) {
-	within, stop := context.WithTimeout(ctx, attempt)
-	defer stop()
+	if err := ctx.Err(); err != nil {
+		return nil, err
+	}
 	began := time.Now()
-	state, err := g.lease(within, map[string]any{"do": "acquire", "scope": scope, "ttl": ttl.Seconds()})
+	state, err := g.leaseAnyway(map[string]any{"do": "acquire", "scope": scope, "ttl": ttl.Seconds()})
 	if err != nil {
 		return nil, err
 	}
 	held := &Lease{gateway: g, ttl: ttl, state: state}
 	held.Context, held.stop = context.WithCancel(ctx)
+	if err := ctx.Err(); err != nil {
+		held.stop()
+		_ = held.Release(ctx)
+		return nil, err
+	}
 	held.renewed.Add(1)
 	go held.keep(began.Add(ttl))
 	return held, nil
@@ -50,20 +59,33 @@ func (l *Lease) Err() error {
 	return l.err
 }
 
-// Release gives the lease back. One that is lost already is no error.
-func (l *Lease) Release(ctx context.Context) error {
+// Release gives the lease back, also if ctx has ended: others wait for it. One that is lost already is no error.
+func (l *Lease) Release(_ context.Context) error {
 	l.stop()
 	l.renewed.Wait()
 	if l.Err() != nil {
 		return nil
 	}
-	_, err := l.gateway.lease(ctx, map[string]any{"do": "release", "lease": l.state.Lease})
+	_, err := l.gateway.leaseAnyway(map[string]any{"do": "release", "lease": l.state.Lease})
 	return err
+}
+
+// lose ends the lease, unless it has ended before.
+func (l *Lease) lose(err error) {
+	l.mutex.Lock()
+	if l.err == nil && l.Context.Err() == nil {
+		l.err = err
+	}
+	l.mutex.Unlock()
+	l.stop()
 }
 
 func (l *Lease) keep(until time.Time) {
 	defer l.renewed.Done()
 	defer l.stop()
+	// Its time may be over while a renewal is under way, or while this waits to try again.
+	expiry := time.AfterFunc(time.Until(until), func() { l.lose(errExpired) })
+	defer expiry.Stop()
 	for {
 		select {
 		case <-l.Context.Done():
@@ -76,17 +98,26 @@ func (l *Lease) keep(until time.Time) {
 		stop()
 		var refused *Error
 		switch {
-		case err == nil:
-			until = began.Add(l.ttl)
 		case l.Context.Err() != nil:
 			return
-		case errors.As(err, &refused) && !refused.Retryable, time.Now().After(until):
-			l.mutex.Lock()
-			l.err = err
-			l.mutex.Unlock()
+		case err == nil:
+			until = began.Add(l.ttl)
+			if !expiry.Stop() {
+				return
+			}
+			expiry.Reset(time.Until(until))
+		case errors.As(err, &refused) && !refused.Retryable:
+			l.lose(err)
 			return
 		}
 	}
+}
+
+// leaseAnyway asks whatever becomes of the caller's context: an answer that nobody takes would leave the lease held.
+func (g *Gateway) leaseAnyway(body map[string]any) (leaseState, error) {
+	within, stop := context.WithTimeout(context.Background(), attempt)
+	defer stop()
+	return g.lease(within, body)
 }
 
 func (g *Gateway) lease(ctx context.Context, body map[string]any) (leaseState, error) {
