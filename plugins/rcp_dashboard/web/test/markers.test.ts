@@ -31,6 +31,15 @@ describe("markers", () => {
     expect(store.all.size).toBe(1);
   });
 
+  it("are deleted all of a namespace, where one is told", () => {
+    const store = took(cube(), cube({ id: 2 }), cube({ ns: "a/b" }), cube({ ns: "b", type: 99 }));
+    store.take({ ns: "a", action: 3 }, 0);
+    expect([...store.all.keys()]).toEqual(["a/b/1"]);
+    expect(store.problems).toHaveLength(1);
+    store.take({ ns: "b", action: 3 }, 0);
+    expect(store.problems).toEqual([]);
+  });
+
   it("end when their lifetime is over, counted from when they came", () => {
     const store = new Markers();
     store.take({ markers: [cube({ lifetime: { sec: 1, nanosec: 500_000_000 } }), cube({ id: 2, lifetime: { sec: 0, nanosec: 0 } })] }, 1000);

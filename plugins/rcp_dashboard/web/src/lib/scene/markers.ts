@@ -73,7 +73,7 @@ export class Markers {
     for (const one of list) {
       const key = `${one?.ns ?? ""}/${one?.id ?? 0}`;
       const action = one?.action ?? 0;
-      if (action === DELETE_ALL) this.clear();
+      if (action === DELETE_ALL) this.#clear(String(one?.ns ?? ""));
       else if (action === DELETE) this.#drop(key);
       else if (action === 0 || action === 1) this.#put(key, one, now, changed);
       else this.#refuse(key, `unknown action ${action}`);
@@ -108,6 +108,13 @@ export class Markers {
     this.#all.delete(key);
     this.#refused.delete(key);
     this.#left.delete(key);
+  }
+
+  /** All, or those of a namespace (visualization_msgs/Marker). */
+  #clear(namespace: string): void {
+    if (namespace === "") return this.clear();
+    const keys = [...this.#all.keys(), ...this.#refused.keys(), ...this.#left];
+    for (const key of keys) if (key.slice(0, key.lastIndexOf("/")) === namespace) this.#drop(key);
   }
 
   clear(): void {
