@@ -79,7 +79,13 @@ class ZenohClient(Client):
 
     def _put(self, kind: bytes, place: int, number: int, data: bytes = b"") -> None:
         if not self._gone:
-            self._session.put(self._up, data, attachment=_HEAD.pack(kind, place, number))
+            self._session.put(
+                self._up,
+                data,
+                attachment=_HEAD.pack(kind, place, number),
+                # The suite does not connect again, as a hub does after a loss on a busy machine.
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
 
     async def transmit_raw(self, data: bytes) -> None:
         place = _BULK if len(data) > _WHOLE else _CONTROL
