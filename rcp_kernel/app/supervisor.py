@@ -224,7 +224,7 @@ class BackendSupervisor:
                 self._journal.interrupted.remove(command)
             self._cut_off += cut_off
             self._tell_cut_off()
-            entry.unit.note_lost(entry.path)
+            entry.unit.note_lost(entry.path, entry.unit.stops)
             self._stop_or_recover(entry.unit)
 
     def _tell_cut_off(self) -> None:
@@ -481,6 +481,8 @@ class BackendSupervisor:
         """Do with a robot what its policy says of a lost command, unless it has a new one."""
         wait = _FIRST_RETRY
         while (lost := unit.lost) is not None and (backend := self.backend) is not None:
+            if unit.latch is not None:  # the stop settles it
+                return
             try:
                 with permitted(unit, unit.stops):
                     done = await backend.recover(unit.robot)
@@ -497,7 +499,7 @@ class BackendSupervisor:
                 await asyncio.sleep(wait)
                 wait = min(wait * 2, _LAST_RETRY)
             else:
-                unit.forget_lost()
+                unit.lost = None
                 log.warning("recovered", backend=unit.name, command=lost, done=done)
                 self._events.recovered(unit, lost, done)
 

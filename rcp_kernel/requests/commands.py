@@ -150,7 +150,8 @@ class Commands:
         if not _begins_at_once(entry):
             self._active[entry.path] = command
         if entry.moves:
-            entry.unit.forget_lost()
+            entry.unit.lost = None
+        command.began = entry.unit.stops
         work = self._carry_out(command, call, confirm)
         command.task = self._loop.create_task(work, name=f"command {command.id}")
         command.task.add_done_callback(partial(self._on_task_done, command))
@@ -238,7 +239,6 @@ class Commands:
 
     async def _carry_out(self, command: Command, call: Call, confirm: Confirm) -> Any:
         entry, work = call.entry, command.work
-        stops = entry.unit.stops
         if command.ready is not None:
             await command.ready()
         if command.unrecorded and not entry.is_hold:
@@ -254,7 +254,7 @@ class Commands:
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
-            permit(entry.unit, stops)
+            permit(entry.unit, command.began)
             result = await backend.execute(entry.name, call.value, progress)
         try:
             if work is None and entry.output_type.grows and is_long(result):
@@ -440,7 +440,7 @@ def _failed(command: Command, error: RcpError, moment: int) -> Record:
     if entry is not None:
         error.origin = error.origin or entry.owner.name
         if command.task is not None:
-            tell_loss(entry, error)
+            tell_loss(entry, error, command.began)
     body = NO_BODY if command.work is None else command.work.report(over=True)
     facts = error_body(error)
     if _has_effect(command, error):

@@ -23,15 +23,17 @@ _THEN = {
 }
 
 
-def tell_loss(entry: Entry, error: RcpError) -> None:
+def tell_loss(entry: Entry, error: RcpError, began: int) -> None:
     """Record that a command was lost with the link, and add the loss policy to its error.
 
-    `Backend.on_loss` is the policy for when contact returns.
+    `Backend.on_loss` is the policy for when contact returns. There is nothing to do for a command
+    that began before a stop that has reached the robot; `began` is the number of stops before it.
     """
     if not entry.moves or not isinstance(error, _LOST):
         return
+    if not entry.unit.note_lost(entry.path, began):
+        return
     policy = entry.owner.on_loss
-    entry.unit.note_lost(entry.path)
     error.details = {**(error.details or {}), "on_loss": policy}
     error.message = _with_policy(error.message, policy)
 

@@ -237,7 +237,7 @@ class StopController:
         except RcpError as error:
             self._unsent(stop, error)
             raise
-        stop.halted = True
+        self._reached(stop)
         self._judge(stop)
         if stop.confirmed is None and not stop.released:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
@@ -277,8 +277,14 @@ class StopController:
             log.warning("halt_failed", backend=whole.name, error=repr(error))
             return
         for stop in stops:
-            stop.halted = True
+            self._reached(stop)
             self._judge(stop)
+
+    def _reached(self, stop: Stop) -> None:
+        """Note that a halt has returned."""
+        stop.halted = True
+        if not stop.released:  # since a reset, other commands may have been lost
+            stop.unit.note_halted()
 
     def _command(self, stop: Stop) -> None:
         if stop.unit.backend is not None and stop.commanded is None:

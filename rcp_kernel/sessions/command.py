@@ -189,6 +189,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     expired: bool = False
     sent: bool = False
     """Whether it was passed to the robot, which may act on it from then on."""
+    began: int = 0
+    """Number of stops of its robot before it began."""
     unrecorded: bool = False
     """Whether a step of it is missing in the record, so that its success is not confirmed."""
     deadline: int | None = None

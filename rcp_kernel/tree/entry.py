@@ -288,8 +288,8 @@ class StopGroup:
     """What an e-stop stops as a whole: all robots of a backend, or one that it can halt alone."""
 
     __slots__ = (
+        "_halted",
         "_latches",
-        "_lost",
         "_released",
         "_stopped",
         "_stops",
@@ -301,6 +301,7 @@ class StopGroup:
         "holds",
         "identity",
         "keys",
+        "lost",
         "name",
         "own",
         "own_leases",
@@ -327,8 +328,11 @@ class StopGroup:
         own = (self.name,) if robot is None else (self.name, owner.name)
         self.keys = (*own, self.identity, tenant)
         """The keys of all latches that hold it but the gateway's, the narrowest first."""
-        self._lost: tuple[str, int] | None = None
-        """The path of a command, and the number of stops before it was lost."""
+        self.lost: str | None = None
+        """The path of a command that was lost, with the link or with an earlier gateway, and that the
+        robot may still carry out."""
+        self._halted = 0
+        """Number of stops before a halt reached it last."""
         self.usable_backend: Backend | None = None
         """The open backend, or None while there is none or this robot is down; set by the owner, as
         every request looks at it. Stops are sent regardless, by `backend`."""
@@ -391,24 +395,19 @@ class StopGroup:
         """When its last e-stop was, by the monotonic clock; -inf if none was in this run."""
         return self._stopped if self.robot is None else max(self._stopped, self.whole.stopped)
 
-    @property
-    def lost(self) -> str | None:
-        """The path of a command that was lost and that the robot may still carry out.
+    def note_lost(self, path: str, began: int) -> bool:
+        """Record that a command was lost which began after so many stops.
 
-        It was lost with the link, or with an earlier gateway. An e-stop ends it: no reset may set
-        the robot in motion.
+        Return False, and do nothing, if a halt has reached the robot since.
         """
-        lost = self._lost
-        return lost[0] if lost is not None and lost[1] == self.stops else None
+        if began < self._halted:
+            return False
+        self.lost = path
+        return True
 
-    def note_lost(self, path: str) -> None:
-        """Record that a command was lost; under an e-stop, its rest is all there is to do."""
-        if self.latch is None:
-            self._lost = path, self.stops
-
-    def forget_lost(self) -> None:
-        """Forget it: it was settled, or a new command has taken its place."""
-        self._lost = None
+    def note_halted(self) -> None:
+        """Record that a halt has reached it: nothing that was lost is to be settled after a reset."""
+        self._halted, self.lost = self.stops, None
 
     @property
     def released(self) -> int:

@@ -620,7 +620,7 @@ async def test_one_that_appears_after_the_start_gets_what_its_lost_command_left_
         async with serve_backend(KIND, table) as served:
             await until(lambda: bool(served.lives), "the first is heard")
             # As it is noted for a command that an earlier gateway has left behind.
-            served.supervisor.unit("vehicle2").note_lost("/tenant/t/action/vehicle2/move_to")
+            served.supervisor.unit("vehicle2").lost = "/tenant/t/action/vehicle2/move_to"
             link.cut = False
             await until(lambda: second.vehicle.flight.mode is Mode.RTL, "it returns")
 

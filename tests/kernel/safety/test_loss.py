@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncGenerator
 from pathlib import Path
 
@@ -92,6 +93,42 @@ async def test_a_reset_does_not_bring_back_what_an_estop_ended(world: World) -> 
     await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=BOUND)
     assert "recover" not in robot.sent
     assert robot.sent[-1] == "write 1"
+
+
+async def test_what_no_halt_has_reached_is_settled_after_a_reset_too(world: World) -> None:
+    robot, admin = scripted(world), world.client(ADMIN)
+    await lose(world, admin)
+    await estop(admin, deadline=0.1)
+    assert (await estop(admin, reset=True))["status"] == "completed"
+    back(robot)
+    async with asyncio.timeout(BOUND):
+        await robot.recovered.wait()
+
+
+class Slow(Scripted):
+    """Takes its time to end what is cancelled, and does not know what has become of it then."""
+
+    async def execute(self, name: str, value: object, progress: Progress) -> object:
+        self.started.put_nowait(value)
+        with contextlib.suppress(asyncio.CancelledError):
+            await self.release.wait()
+        await self.release.wait()
+        raise AdapterUnavailable("the hold was not answered")
+
+
+async def test_a_command_that_fails_after_the_reset_was_not_lost() -> None:
+    async with scripted_world(make=Slow) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        go = admin.send(type="execute", path=GO, body=1)
+        async with asyncio.timeout(BOUND):
+            await robot.started.get()
+        assert (await estop(admin))["status"] == "completed"
+        assert (await estop(admin, reset=True))["status"] == "completed"
+        robot.release.set()
+        final = await admin.final(go)
+        assert final["error"]["code"] == "adapter_unavailable"
+        assert "on_loss" not in final["error"].get("details", {})
+        assert world.server.kernel.registry.entries[GO].unit.lost is None
 
 
 async def test_an_estop_ends_a_recovery_that_is_being_tried(world: World) -> None:
