@@ -9,6 +9,7 @@ only as long as the key that signed it.
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import secrets
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -214,8 +215,9 @@ def _nobody() -> None:
 
 
 def source_of(config: JwtConfig) -> str:
-    """Return what tells apart where keys come from."""
-    return repr((config.issuer, config.keys, config.jwks_url, config.discovery))
+    """Return what tells apart where keys come from, without secrets that an address may have."""
+    source = (config.issuer, config.keys, config.jwks_url, config.discovery)
+    return hashlib.sha256(repr(source).encode()).hexdigest()
 
 
 class Issuers:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -17,7 +18,7 @@ from rcp_recorder.service import RecorderService
 from rcp_recordings.query import Query
 from rcp_web.downloads import Download, HistoryPage
 
-__all__ = ["Downloads"]
+__all__ = ["Downloads", "whole"]
 
 _PIECE = 256 * 1024
 
@@ -46,7 +47,7 @@ class Downloads:
         path = self._catalogue.folder / name
         if format_ == "mcap":
             self._service.note(session, "download", name, kept.samples | kept.others)
-            return _whole(path, kept.bytes)
+            return whole(path, kept.bytes)
         query = Query(files=((str(path), None),), paths=kept.samples, name=name, format="ros2")
         if format_ == "ros2":
             self._service.note(session, "download", name, kept.samples | kept.others)
@@ -72,7 +73,9 @@ class Downloads:
         )
 
 
-def _whole(path: Path, size: int) -> Download:
+def whole(path: Path, size: int) -> Download:
+    """Return a file of `size` bytes as it is."""
+
     def pieces(start: int, stop: int | None) -> AsyncIterator[bytes]:
         return _parts(path, start, size if stop is None else stop)
 
@@ -81,8 +84,10 @@ def _whole(path: Path, size: int) -> Download:
 
 async def _parts(path: Path, start: int, stop: int) -> AsyncGenerator[bytes]:
     """Read a file on threads; it stays readable if it is deleted meanwhile."""
-    file: IO[bytes] = await asyncio.to_thread(path.open, "rb")
+    loop = asyncio.get_running_loop()
+    opening: asyncio.Future[IO[bytes]] = loop.run_in_executor(None, path.open, "rb")
     try:
+        file = await asyncio.shield(opening)
         file.seek(start)
         while start < stop:
             piece = await asyncio.to_thread(file.read, min(_PIECE, stop - start))
@@ -91,7 +96,13 @@ async def _parts(path: Path, start: int, stop: int) -> AsyncGenerator[bytes]:
             start += len(piece)
             yield piece
     finally:
-        file.close()
+        opening.add_done_callback(partial(_close, loop))
+
+
+def _close(loop: asyncio.AbstractEventLoop, opening: asyncio.Future[IO[bytes]]) -> None:
+    """Close a file on a thread: what was cut off may still be reading, and closing waits for that."""
+    if not opening.cancelled() and opening.exception() is None:
+        loop.run_in_executor(None, opening.result().close)
 
 
 def _metadata(path: Path, query: Query) -> Download:

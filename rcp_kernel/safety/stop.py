@@ -362,6 +362,7 @@ class StopController:
                 self.end([stop.unit])
             elif stop.unit.backend is None and stop.unit.owner.closes:
                 self._drop(stop)
+                self._changed()
             elif stop.unit.backend is None:
                 self._mark_unconfirmed(stop, stop.unit.owner.unavailable().message)
             else:

@@ -39,6 +39,7 @@ class Socket(WSListener):
 
     __slots__ = (
         "_compressed",
+        "_gathers",
         "_heard",
         "_loop",
         "_opcode",
@@ -82,6 +83,8 @@ class Socket(WSListener):
         self._loop = loop
         self._transport: WSTransport
         self._raw: asyncio.Transport
+        self._gathers = False
+        """Whether its `writelines` is one system call."""
         self.limit = settings.client_api.limits.message
         """Maximum length of a received message, reassembled and decompressed."""
         self._threshold = settings.config.compress_above
@@ -109,6 +112,8 @@ class Socket(WSListener):
         self._transport = transport
         self._raw = transport.underlying_transport
         self._raw.set_write_buffer_limits(high=_HIGH_WATER)
+        # `writelines` of asyncio copies all, or never tells that the buffer is full: gh-127655.
+        self._gathers = type(self._raw).__module__.startswith("uvloop")
         self.open = self.writable = True
         self._rest()
 
@@ -305,15 +310,20 @@ class Socket(WSListener):
         return 0 if self.writable else raw.get_write_buffer_size()
 
     def write_frames(self, parts: list[bytes]) -> None:
-        """Send framed data in one write; only short parts are copied."""
+        """Send framed data, in one write where the loop can; only short parts are copied."""
         if not self.open or self._raw.is_closing():
             return
         if len(parts) == 1:
             self._raw.write(parts[0])
         elif max(map(len, parts)) <= heads.JOINED:
             self._raw.write(b"".join(parts))
-        else:
+        elif self._gathers:
             self._raw.writelines(heads.merged(parts))
+        else:
+            for data in heads.merged(parts):
+                if self._raw.is_closing():  # the write before has found it broken
+                    return
+                self._raw.write(data)
 
     def send(self, data: bytes, *, text: bool) -> None:
         """Send one message."""

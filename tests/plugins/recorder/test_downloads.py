@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from plugins.recorder.gateway import ADMIN, HALF, Gateway, recording
+from rcp_recorder.downloads import whole
 
 pytestmark = pytest.mark.anyio
 
@@ -110,3 +113,37 @@ async def test_rcpctl_records_lists_and_downloads(tmp_path: Path) -> None:
     assert (here / name).read_bytes() == (folder / name).read_bytes()
     assert (here / "speed.csv").read_text().splitlines()[1].endswith(",1.0")
     assert not list(here.glob("*.part"))
+
+
+class Stuck(io.BytesIO):
+    """A file on a disk that does not answer, which cannot be closed while it is being read."""
+
+    def __init__(self) -> None:
+        super().__init__(b"12345")
+        self.reading, self.answers, self.ended = (threading.Event() for _ in range(3))
+
+    def read(self, size: int | None = -1) -> bytes:
+        self.reading.set()
+        assert self.answers.wait(60)
+        return super().read(size)
+
+    def close(self) -> None:
+        assert self.answers.wait(60)
+        super().close()
+        self.ended.set()
+
+
+async def test_a_disk_that_does_not_answer_holds_up_nobody_when_the_client_leaves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stuck = Stuck()
+    monkeypatch.setattr(Path, "open", lambda *_: stuck)
+    pieces = aiter(whole(tmp_path / "a.mcap", 5).pieces(0, None))
+    reading = asyncio.ensure_future(anext(pieces))
+    assert await asyncio.to_thread(stuck.reading.wait, 60)
+    reading.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await reading  # and not the answer of the disk
+    assert not stuck.ended.is_set()
+    stuck.answers.set()
+    assert await asyncio.to_thread(stuck.ended.wait, 60)

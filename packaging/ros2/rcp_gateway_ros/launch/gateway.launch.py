@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo
+from launch.actions import DeclareLaunchArgument, ExecuteProcess
 from launch.substitutions import LaunchConfiguration
 
 CONFIG = Path(__file__).parents[1] / "config" / "gateway.toml"
@@ -20,13 +20,14 @@ def generate_launch_description() -> LaunchDescription:
     """
     given = os.environ.get("OPERATOR_KEY")
     key = given or f"rcp_op_{secrets.token_urlsafe(24)}"
+    if not given:  # not by LogInfo, which also writes it into a file that others may read
+        sys.stderr.write(f"operator key: {key}\n")
     # pip's folder of programs need not be on the path of a workspace.
     program = ["rcpd"] if shutil.which("rcpd") else [sys.executable, "-m", "rcpd"]
     return LaunchDescription(
         [
             DeclareLaunchArgument("config", default_value=str(CONFIG), description="Configuration"),
             DeclareLaunchArgument("port", default_value="8080", description="Port to listen on"),
-            *([] if given else [LogInfo(msg=f"operator key: {key}")]),
             ExecuteProcess(
                 cmd=[
                     *program,
