@@ -189,7 +189,16 @@ async def test_a_form_keeps_what_is_typed_as_it_is_typed(german: Watched, robot:
     await offset.press("Backspace")
     await offset.press_sequentially("7")
     await expect(gain).to_have_value("0,07")
-    await form.get_by_role("button", name="Ausführen", exact=True).click()
+    run = form.get_by_role("button", name="Ausführen", exact=True)
+    for unsure in ("1.500", "0x10"):
+        await enter(gain, unsure)
+        await run.click()
+        await expect(form.locator('[data-pointer="/gain"]').get_by_role("alert")).to_be_visible()
+        await expect(gain).to_have_attribute("aria-invalid", "true")
+        await expect(gain).to_have_value(unsure)
+    await enter(gain, "0,07")
+    await expect(gain).to_have_attribute("aria-invalid", "false")
+    await run.click()
     await expect(form.get_by_test_id("answer")).to_be_visible()
     ((_, sent),) = robot.ran
     assert (sent.gain, sent.offset) == (0.07, 12.7)

@@ -2,7 +2,7 @@ import { describe, expect, it } from "vitest";
 
 import { stepsOf } from "../src/lib/joints.ts";
 import { language } from "../src/lib/language.svelte.ts";
-import { blank, faults, missing, numberOf } from "../src/lib/schema.ts";
+import { blank, faults, missing, numberOf, spells } from "../src/lib/schema.ts";
 
 const GOAL = {
   type: "object",
@@ -77,6 +77,8 @@ describe("steps of joints", () => {
 
 describe("numbers that are typed", () => {
   it("keep their digits where a double would change them", () => {
+    const schema = { anyOf: [{ type: "number" }, { $ref: "#/$defs/Odd" }], $defs: { Odd: { enum: ["NaN"] } } };
+    expect([spells("NaN", schema, schema), spells("1.500", schema, schema), spells("1,5", { type: "number" }, schema)]).toEqual([true, false, false]);
     expect([numberOf("1.50"), numberOf("9007199254740993"), numberOf("north")]).toEqual([1.5, "9007199254740993", "north"]);
   });
 });

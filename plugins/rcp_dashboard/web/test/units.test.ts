@@ -7,6 +7,7 @@ import { bytes, clock, number, rounded, span, together } from "../src/lib/format
 import { digitsOf, type Joint, stepsOf, typedTarget } from "../src/lib/joints.ts";
 import { language } from "../src/lib/language.svelte.ts";
 import { rule } from "../src/lib/map/plane.ts";
+import { fixed, rangeAt } from "../src/lib/plots.svelte.ts";
 import { distance, height, measured, measuredAll, units } from "../src/lib/units.svelte.ts";
 
 afterEach(async () => {
@@ -56,6 +57,15 @@ describe("units", () => {
     expect(shown.at.x).toBeCloseTo(10, 9);
     expect(shown).toMatchObject({ at: { yaw: 1 }, heat: [32, 212], name: "m", none: null });
     expect(shown.many).toBe(value.many);
+  });
+
+  it("of the first axis of a plot are those in which its range is typed, and the other axis keeps its own", () => {
+    units.choose("imperial");
+    const plot = fixed(["/a#height", "/a#voltage"], units.meant(0, "m"), units.meant(100, "m"));
+    expect([rangeAt(plot, 0, "m"), rangeAt(plot, 1, "V")]).toEqual([[0, 100], undefined]);
+    units.choose("metric");
+    expect([rangeAt(plot, 0, "m"), rangeAt(plot, 1, "V")]).toEqual([[0, 30.48], undefined]);
+    expect(rangeAt(["/a#height"], 0, "m")).toBeUndefined();
   });
 
   it("have a ruler of their own on the map", () => {

@@ -20,6 +20,13 @@ describe("catalogues", () => {
     expect(write(header, now.values()), UPDATE).toBe(po);
   });
 
+  it("have one word for one thing", () => {
+    const { entries } = read(catalogues["../words/de.po"] as string);
+    const told = [...entries.values()].filter(({ one }) => one.startsWith("its scale ")).map((entry) => entry.told[0]);
+    expect(told).toHaveLength(3);
+    for (const one of told) expect(one).toMatch(/^seine Größe /);
+  });
+
   it("are asked at the time when a text is shown", () => {
     expect(early, "put it into a function, or make it a property of an object").toEqual([]);
   });

@@ -1,3 +1,5 @@
+import { units } from "./units.svelte.ts";
+
 /**
  * What is plotted, whatever page is shown: the plots, each a list of series (a path and a field with `#` between, see
  * `lineOf`), with `y=least..most` among them where the height is fixed, and `xy` where the first is the axis of the others.
@@ -27,6 +29,12 @@ export function seriesOf(plot: string[]): string[] {
 export function heightOf(plot: string[]): [number, number] | undefined {
   const found = plot.find((one) => one.startsWith("y="))?.slice(2).split("..").map(Number);
   return found?.length === 2 && found.every(Number.isFinite) ? (found as [number, number]) : undefined;
+}
+
+/** Where the axis at this place is fixed, in the unit that is shown: only the first is, in whose unit it was typed. */
+export function rangeAt(plot: string[], at: number, unit: string): [number, number] | undefined {
+  // 100 ft, and not 99.99999999999999: the axis would end before its last number.
+  return at === 0 ? (heightOf(plot)?.map((one) => Number(units.shown(one, unit).toPrecision(12))) as [number, number] | undefined) : undefined;
 }
 
 /** Whether its first series is the axis of the others, in place of time. */

@@ -1,7 +1,7 @@
 import { Validator } from "@cfworker/json-schema";
 import type { Resource, Schema } from "rcp-client";
 
-import { boxed } from "./typed.ts";
+import { boxed, numberTyped, pointed } from "./typed.ts";
 
 /** A part of a schema with its references resolved against the whole. */
 export function resolve(schema: Schema, root: Schema): Schema {
@@ -98,6 +98,14 @@ export function numberOf(text: string): number | string {
   return changed ? text.trim() : found;
 }
 
+/** What was typed where a number is wanted; as the text itself where it is none, or may be understood as two, or keeps its digits only as text. */
+export function numberEntered(text: string): number | string {
+  const bare = pointed(text).replace(/^\+/, "");
+  if (/^-?\d+$/.test(bare)) return numberOf(bare);
+  const found = numberTyped(text);
+  return Number.isNaN(found) ? text.trim() : found;
+}
+
 /** Read JSON with every number as it is written. */
 export function parse(text: string): unknown {
   return (JSON.parse as any)(text, (_: string, value: unknown, context?: { source?: string }) => {
@@ -123,6 +131,12 @@ export function faults(value: unknown, schema: Schema): Fault[] {
   return (leaves.length ? leaves : result.errors)
     .map((error) => ({ pointer: error.instanceLocation.replace(/^#/, ""), message: inWords(error) }))
     .filter(({ pointer, message }) => !seen.has(pointer + message) && seen.add(pointer + message));
+}
+
+/** Whether a text is a value where a number is wanted, such as NaN, or the digits of a long one. */
+export function spells(text: string, schema: Schema, root: Schema): boolean {
+  const texts = alternatives(resolve(schema, root)).map((one) => resolve(one, root)).filter((one) => one["enum"] || one["type"] === "string");
+  return texts.some((one) => faults(text, one).length === 0);
 }
 
 /** What is wrong with a number in words; the rest is told as the checker tells it. */

@@ -3,7 +3,7 @@ import { type Item, RcpError } from "rcp-client";
 
 import type { ParameterFile } from "./files.ts";
 import type { Parameter } from "./parameter.ts";
-import { type Entered, entered, same, textOf } from "./value.ts";
+import { boxText, type Entered, entered, same } from "./value.ts";
 import { type Change, type Device, type Result, Writing } from "./writing.ts";
 
 /** What is known of a value. */
@@ -143,7 +143,7 @@ export class Editor {
   /** Enter several values, as of a file. */
   enterAll(all: Iterable<[one: Parameter, value: unknown]>): void {
     const chosen = [...all].filter(([one]) => one.writable);
-    this.#change(chosen.map(([one, value]) => [one.path, this.#pendingOf(one, one.entry === "choice" ? JSON.stringify(value) : textOf(value))]));
+    this.#change(chosen.map(([one, value]) => [one.path, this.#pendingOf(one, boxText(one, value))]));
     this.settle(chosen.map(([one]) => one.path));
   }
 

@@ -3,6 +3,7 @@ import type { Resource, Schema } from "rcp-client";
 
 import type { Robot } from "../robots.ts";
 import { main, resolve, unitOf } from "../schema.ts";
+import { boxed } from "../typed.ts";
 
 /** How a value is entered: `json` is for whatever has parts. */
 export type Entry = "number" | "integer" | "boolean" | "choice" | "text" | "json";
@@ -129,12 +130,12 @@ function entryOf(schema: Schema): Entry {
 
 /** The range as people read it: what is recommended, else what is enforced. */
 export function rangeText({ recommended, low, high }: Parameter): string {
-  if (recommended) return `${recommended[0]} … ${recommended[1]}`;
+  if (recommended) return `${boxed(recommended[0])} … ${boxed(recommended[1])}`;
   const least = low !== undefined && low > -WIDE ? low : undefined;
   const most = high !== undefined && high < WIDE ? high : undefined;
-  if (least !== undefined && most !== undefined) return `${least} … ${most}`;
-  if (least !== undefined) return `≥ ${least}`;
-  return most !== undefined ? `≤ ${most}` : "";
+  if (least !== undefined && most !== undefined) return `${boxed(least)} … ${boxed(most)}`;
+  if (least !== undefined) return `≥ ${boxed(least)}`;
+  return most !== undefined ? `≤ ${boxed(most)}` : "";
 }
 
 /** Whether a parameter has all of these words. */

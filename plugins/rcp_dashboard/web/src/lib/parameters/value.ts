@@ -1,6 +1,7 @@
 /** Values of parameters: as text, from text, and whether two are the same. */
-import { faults, numberOf, parse } from "../schema.ts";
-import { boxed, pointed } from "../typed.ts";
+import { asSet } from "../format.ts";
+import { faults, numberEntered, parse } from "../schema.ts";
+import { boxed } from "../typed.ts";
 import type { Parameter } from "./parameter.ts";
 
 const FEWEST = 6; // digits of a number of 32 bits
@@ -16,8 +17,18 @@ export function digits(value: number): string {
   return String(value);
 }
 
-/** A value as it is shown, and entered. */
+/** A value as it is shown. */
 export function textOf(value: unknown): string {
+  return typeof value === "number" ? asSet(Number(digits(value))) : plain(value);
+}
+
+/** A value as the box of its parameter holds it, so that it can be entered again: JSON has a point in any language. */
+export function boxText({ entry }: Parameter, value: unknown): string {
+  if (entry === "choice") return JSON.stringify(value ?? null);
+  return entry === "number" || entry === "integer" ? textOf(value) : plain(value);
+}
+
+function plain(value: unknown): string {
   if (value === undefined || value === null) return "";
   if (typeof value === "number") return digits(value);
   return typeof value === "string" ? value : JSON.stringify(value);
@@ -53,7 +64,7 @@ function valueOf({ entry }: Parameter, text: string): Entered {
   if (entry === "text") return { value: text };
   if (text.trim() === "") return { fault: "Enter a value." };
   if (entry === "boolean") return text === "true" || text === "false" ? { value: text === "true" } : { fault: "Enter true or false." };
-  if (entry === "number" || entry === "integer") return { value: numberOf(pointed(text)) };
+  if (entry === "number" || entry === "integer") return { value: numberEntered(text) };
   try {
     return { value: parse(text) };
   } catch {
