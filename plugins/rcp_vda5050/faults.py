@@ -13,6 +13,7 @@ FaultKind = Literal[
     "malformed", "action", "instant_action", "outdated", "other_order", "stitching", "start", "map",
     "no_order", "drive", "work", "unavailable", "route", "cancelled", "same_update", "blocked", "release",
     "lost", "duplicate_zone_set", "memory", "unsupported", "zones_lost", "zone_set_lost", "not_stored",
+    "not_enabled",
 ]  # fmt: skip
 TYPES: Mapping[str, tuple[str, str]] = {
     "malformed": ("validationError", "VALIDATION_FAILURE"),
@@ -39,14 +40,16 @@ TYPES: Mapping[str, tuple[str, str]] = {
     "zones_lost": ("zoneError", "ZONES_NOT_KNOWN"),
     "zone_set_lost": ("zoneError", "ZONE_SET_LOST"),
     "not_stored": ("zoneError", "ZONE_SET_NOT_STORED"),
+    "not_enabled": ("actionError", "NOT_ENABLED"),
 }
 """`errorType` of 2.1 and of 3.0."""
 _LEVELS: Mapping[str, str] = {
     "drive": "CRITICAL", "unavailable": "CRITICAL", "blocked": "CRITICAL", "release": "CRITICAL",
     "lost": "FATAL", "memory": "URGENT", "unsupported": "CRITICAL", "zones_lost": "FATAL", "not_stored": "URGENT",
+    "not_enabled": "CRITICAL",
 }  # fmt: skip
 """Levels of 3.0 that are not WARNING."""
-_STOPPING = ("drive", "unavailable", "blocked", "release", "lost")
+_STOPPING = ("drive", "unavailable", "blocked", "release", "lost", "not_enabled")
 """With these the order does not go on by itself."""
 
 

@@ -30,6 +30,8 @@ _EVERY = 30.0  # s between two states, at most (section 6.10)
 _GATHER = 0.05  # s in which changes become one state
 _MOST = 200  # instant actions that are remembered
 _AT_ONCE = 20  # instant actions that run
+_ALWAYS = ("startPause", "stopPause", "cancelOrder")
+"""Instant actions that are neither counted nor refused by that limit: whoever stops a robot waits for nothing."""
 _LARGEST = 1 << 20  # bytes of a message
 _ESTOP, _ROBOTS = "/system/estop", "/system/robots"
 T = TypeVar("T", bound=Addressed)
@@ -142,16 +144,20 @@ class Robot:
         instant, id_ = self.work.instant, action.action_id
         if id_ in instant:
             return
-        running = [each for each in instant.values() if each.status not in ("FINISHED", "FAILED")]
+        ended = [key for key, each in instant.items() if each.status in ENDED]
+        running = [
+            each
+            for key, each in instant.items()
+            if key not in ended and each.action.action_type not in _ALWAYS
+        ]
         reason = None
         if id_ in self.work.states:
             reason = f"an action of the order has the id {id_}"
-        elif len(running) >= _AT_ONCE:
+        elif len(running) >= _AT_ONCE and action.action_type not in _ALWAYS:
             reason = f"{len(running)} instant actions run already"
         if reason is not None:
             self.work.refuse(Fault("instant_action", reason, (("actionId", id_),)))
             return
-        ended = [key for key, each in instant.items() if each not in running]
         for key in ended[: max(0, len(instant) + 1 - _MOST)]:
             del instant[key]
         state = instant[id_] = ActionState(action, "WAITING")

@@ -31,6 +31,8 @@ _HELD = frozenset({
 """Errors after which the order is paused, and goes on when the fleet manager says so (`stopPause`)."""
 _STOPPED = frozenset({"estop_active", "lease_lost", "cancelled", "fenced"})
 """Those of an action that somebody stopped: the order is paused if something of it is left."""
+_SWITCHES = frozenset({"enableMap", "enableZoneSet"})
+"""Those without which the rest of the order would be driven by another map or other zones than it was made for."""
 _GO_ON = "Send stopPause to go on, or cancelOrder."
 
 
@@ -337,11 +339,16 @@ class Work:
         return [each for a in actions if (each := self.states.get(a.action_id)) is not None]
 
     def _failed(self, state: ActionState, error: dict[str, Any]) -> None:
-        """Tell of an action that did not finish, and pause what follows if somebody stopped it."""
+        """Tell of an action that did not finish, and pause what must not follow it."""
         references = (("actionId", state.action.action_id), ("orderId", self.book.order_id))
         text = f"{state.action.action_type}: {error['message']}"
         self.refuse(Fault("work", text, references, error.get("remedy", "")))
-        if error["code"] in _STOPPED and self._is_left(state):
+        of_order = self.states.get(state.action.action_id) is state
+        if of_order and state.action.action_type in _SWITCHES:
+            # Also if nothing is left of the order: an update or a new one may come.
+            hint = f"Send {state.action.action_type} as an instant action and then stopPause, or cancelOrder."
+            self.pause(Fault("not_enabled", text, references, hint))
+        elif error["code"] in _STOPPED and self._is_left(state):
             # Before the next action begins: that an e-stop is the reason is told later.
             self.pause(Fault("unavailable", text, references, _GO_ON))
 

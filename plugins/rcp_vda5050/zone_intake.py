@@ -20,7 +20,7 @@ __all__ = ["Fetch", "ZoneIntake"]
 
 Fetch = Callable[[str, str | None], Awaitable[bytes]]
 """Downloads from a link a document that has a digest, or raises DownloadFailed."""
-_MOST = 10  # sets that wait to be checked
+_MOST = 10  # sets that wait to be checked, and downloads that wait for others
 
 
 class ZoneIntake:
@@ -40,7 +40,7 @@ class ZoneIntake:
         self._map, self._work, self._store = map_, work, store
         self._fetch, self._changed = fetch, changed
         self._turn, self._download = asyncio.Lock(), asyncio.Lock()
-        self._waiting = 0
+        self._waiting = self._downloads = 0
 
     async def restore(self, rows: Mapping[str, Any]) -> None:
         """Have the sets of earlier runs, and the one in force that was; before any order comes."""
@@ -52,7 +52,9 @@ class ZoneIntake:
                 sets.add(await asyncio.to_thread(loaded, each, self._map, why_not))
             except ZoneSetRefused as refused:  # the configuration has changed
                 sets.lost[each.zone_set_id] = refused.fault.text
-        if kept.enabled is not None and self._work.zones.enable(kept.enabled) is not None:
+        if kept.enabled is not None and (
+            kept.was_lost or self._work.zones.enable(kept.enabled) is not None
+        ):
             sets.lost_in_force = kept.enabled
 
     async def take(self, given: ZoneSet) -> None:
@@ -72,6 +74,11 @@ class ZoneIntake:
             text = "downloadZoneSet needs the texts zoneSetId and zoneSetDownloadLink; zoneSetHash is one"
             return Fault("instant_action", text, references)
         references += (("zoneSetId", id_),)
+        if self._downloads >= _MOST:  # otherwise they would hold up other instant actions
+            text = f"{self._downloads} zone sets are being downloaded, or wait for that"
+            hint = "Send it again, with another actionId, when the state shows that one has ended."
+            return Fault("memory", text, references, hint)
+        self._downloads += 1
         try:
             async with self._download:
                 self._work.zones.sets.room_for(id_)
@@ -82,6 +89,8 @@ class ZoneIntake:
         except ZoneSetRefused as refused:
             fault = refused.fault
             return replace(fault, references=(*references[:1], *fault.references))
+        finally:
+            self._downloads -= 1
         return None
 
     async def _keep(self, id_: str, read: Callable[[], ZoneSet]) -> None:
@@ -105,6 +114,8 @@ class ZoneIntake:
                 sets.room_for(id_)
                 given, found = await asyncio.to_thread(check)
                 sets.add(found)
+                if id_ == sets.lost_in_force:
+                    self._store.mark_lost(id_)
                 self._store.put(given)
         finally:
             self._waiting -= 1

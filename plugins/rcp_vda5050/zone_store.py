@@ -33,6 +33,8 @@ class Kept(NamedTuple):
     """The set that was in force, which may be one that is lost."""
     lost: dict[str, str]
     """Sets that cannot be read, with the reason."""
+    was_lost: bool = False
+    """Whether the set that was in force has been lost since: only who enables it puts it in force again."""
 
 
 def load_rows(shelf: PluginStore) -> Mapping[str, Any]:
@@ -62,8 +64,8 @@ class ZoneStore:
             if named[:3] != self._key:
                 continue
             if len(named) == 3:
-                found = row.get("enabled") if isinstance(row, dict) else None
-                kept = kept._replace(enabled=found if isinstance(found, str) else UNKNOWN)
+                enabled, was_lost = _in_force(row)
+                kept = kept._replace(enabled=enabled, was_lost=was_lost)
                 continue
             try:
                 kept.sets.append(_read(row, named[3]))
@@ -83,6 +85,10 @@ class ZoneStore:
     def enable(self, id_: str) -> None:
         """Store which set is in force."""
         self._put(self._key, {"enabled": id_})
+
+    def mark_lost(self, id_: str) -> None:
+        """Store that a set was in force and lost, before it is stored again."""
+        self._put(self._key, {"enabled": id_, "lost": True})
 
     def delete(self, id_: str) -> None:
         """Remove a set."""
@@ -123,6 +129,12 @@ def _named(key: str) -> list[str]:
         return msgspec.json.decode(key, type=list[str])
     except msgspec.MsgspecError:
         return []
+
+
+def _in_force(row: Any) -> tuple[str, bool]:
+    """Return the set that a row names, and whether it has been lost since."""
+    enabled = row.get("enabled") if isinstance(row, dict) else None
+    return (enabled, "lost" in row) if isinstance(enabled, str) else (UNKNOWN, True)
 
 
 def _read(row: Any, id_: str) -> ZoneSet:

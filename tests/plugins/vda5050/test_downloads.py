@@ -15,9 +15,9 @@ import pytest
 
 from plugins.vda5050.broker import MOSQUITTO
 from plugins.vda5050.test_robot import depot
-from plugins.vda5050.test_zones import SIZE
+from plugins.vda5050.test_zones import SIZE, send_order
 from plugins.vda5050.zones import box, check_state, listed, zone_set
-from rcp_vda5050 import downloads
+from rcp_vda5050 import downloads, robot
 
 pytestmark = [
     pytest.mark.anyio,
@@ -178,3 +178,36 @@ async def test_without_a_server_in_the_configuration_nothing_is_downloaded(tmp_p
         status, result = await ended(it, id_)
         assert (status, result) == ("FAILED", "there is no action downloadZoneSet; there are: dock, tidy")  # fmt: skip
         assert server.asked == []
+
+
+async def test_downloads_that_hang_hold_up_no_pause_and_no_cancel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with (
+        map_server() as server,
+        depot(tmp_path, version="3.0", downloads=[server.origin]) as it,
+    ):
+
+        async def download(id_: str) -> None:
+            link = f"{server.origin}/never"
+            await it.master.instant("r1", "downloadZoneSet", id_, zoneSetId=id_, zoneSetDownloadLink=link)  # fmt: skip
+
+        for n in range(25):
+            await download(f"d{n}")
+        assert await ended(it, "d10") == ("FAILED", "10 zone sets are being downloaded, or wait for that")  # fmt: skip
+        status, _ = await ended(it, "d24")
+        [fault] = [e for e in it.master.last("r1")["errors"] if "d24" in str(e["errorReferences"])]
+        assert (status, fault["errorType"]) == ("FAILED", "INSUFFICIENT_MEMORY")
+        assert (await ended(it, await it.master.instant("r1", "stateRequest")))[0] == "FINISHED"
+        monkeypatch.setattr(robot, "_AT_ONCE", 10)  # so that they are as many as may run
+        await it.master.instant("r1", "stateRequest", "full")
+        await it.master.until("r1", lambda s: "full" in str(s["errors"]))
+        await send_order(it, 0.0, 20.0)
+        await it.master.until("r1", lambda s: s["driving"])
+        await it.master.instant("r1", "startPause")
+        await it.master.until("r1", lambda s: s["paused"] and not s["driving"])
+        await it.master.instant("r1", "stopPause")
+        await it.master.until("r1", lambda s: s["driving"])
+        id_ = await it.master.instant("r1", "cancelOrder")
+        assert await ended(it, id_) == ("FINISHED", "")
+        assert it.master.last("r1")["nodeStates"] == []

@@ -134,6 +134,29 @@ async def test_a_damaged_row_of_the_zones_in_force_lets_no_order_pass(
             check_state(each)
 
 
+async def test_a_set_that_is_sent_again_is_not_in_force_after_a_restart_either(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "store.db"
+    more = SIZE + table("store", path=path)
+    async with depot(tmp_path, version="3.0", more=more) as it:
+        await keep(it.master, "s1", WALL)
+    spoil(path, '"s1"]', lambda _: b"\xc1")
+    async with depot(tmp_path, version="3.0", more=more) as it:
+        await it.master.send("r1", "zoneSet", **zone_set("s1"))  # without the wall
+        await it.master.until("r1", lambda s: ("s1", "DISABLED") in listed(s))
+    async with depot(tmp_path, version="3.0", more=more) as it:
+        assert listed(it.master.last("r1")) == [("s1", "DISABLED")]
+        fault = await refused(it, "ZONES_NOT_KNOWN")
+        assert "it is there again, and not enabled" in fault["errorDescription"]
+        await it.master.instant("r1", "enableZoneSet", zoneSetId="s1")
+        await it.master.until("r1", lambda s: ("s1", "ENABLED") in listed(s))
+    async with depot(tmp_path, version="3.0", more=more) as it:
+        assert listed(it.master.last("r1")) == [("s1", "ENABLED")]
+        await send_order(it, 0.0, 0.4)
+        await it.master.until("r1", lambda s: s["orderId"] == "o1" and not s["nodeStates"])
+
+
 async def test_zones_hold_while_the_disk_is_full_and_the_state_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
