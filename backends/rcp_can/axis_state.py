@@ -110,9 +110,10 @@ class AxisState:
 
     def limit_of(self, signal: str) -> float:
         """Return the age in s beyond which a signal is stale."""
-        if self.config.feedback_timeout is not None:
-            return self.config.feedback_timeout
-        return max(_MISSED * (self.drive.period(signal) or 1 / self.config.rate), _SHORTEST)
+        limit = self.config.feedback_timeout
+        if limit is None:
+            limit = max(_MISSED * (self.drive.period(signal) or 1 / self.config.rate), _SHORTEST)
+        return max(limit, self.drive.pause(signal))
 
     @property
     def slow(self) -> bool:

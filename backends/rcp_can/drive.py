@@ -113,6 +113,10 @@ class Drive(ABC):
         """Return the period of a signal in s; None if it must be polled."""
         return None
 
+    def pause(self, signal: str) -> float:
+        """Return how long a procedure of its own may keep it from sending a signal now, s."""
+        return 0.0
+
     @property
     def loose(self) -> bool:
         """Whether a set-point from another master would move it after a stop."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import AsyncGenerator, Sequence
+from contextlib import asynccontextmanager, suppress
 from typing import TYPE_CHECKING, Annotated
 
+import anyio
 from msgspec import Meta, Struct
 
 from rcp_can.asking import answer_to
@@ -37,7 +38,9 @@ _ANSWERS = 0.5  # s
 _PROBED = 0.3  # s for another drive to answer
 _REBOOTS = 5.0  # s within which it has rebooted
 _ASKED = 0.2  # s between two questions whether it has
-_PLACED = 30.0  # s: during a detection it may send no position
+_PLACED = 150.0  # s: during a detection it may send no position
+_PLACES = 1.0  # s within which it sends its position again
+_TURN = 4.0  # s for others' requests: storing may take 3 s
 NODES = range(255)
 _STEPS = 6  # tachometer steps per electrical turn
 
@@ -86,7 +89,28 @@ class _OneAtATime:
     """Requests to the drives of a bus: two that answer at once send the same identifiers, and collide."""
 
     def __init__(self, _bus: Bus) -> None:
-        self.lock = asyncio.Lock()
+        self._lock = asyncio.Lock()
+        self._holder = ""
+
+    @asynccontextmanager
+    async def turn(self, node: int, what: str) -> AsyncGenerator[None]:
+        """Wait until no other request runs.
+
+        :raises DeviceTimeout: one runs too long, as a detection does.
+        """
+        try:
+            with anyio.fail_after(_TURN):
+                await self._lock.acquire()
+        except TimeoutError:
+            raise DeviceTimeout(
+                f"node {node} was asked nothing: the {self._holder} still runs on this bus",
+                remedy="Try again when that has ended, or end it.",
+            ) from None
+        self._holder = f"{what} of node {node}"
+        try:
+            yield
+        finally:
+            self._lock.release()
 
 
 class VescDrive(Drive):
@@ -106,9 +130,11 @@ class VescDrive(Drive):
         self.pole_pairs = options.pole_pairs
         self._detecting = self._ending = False
         """Whether it detects its motor, as far as is known; whether it is to end that."""
+        self._unplaced = False
+        """Whether a detection may have ended its reports of position."""
         self._rebooted = self._asked = -math.inf
         self.application: bytes | None = None
-        self._lock = bus.shared(_OneAtATime, _OneAtATime).lock
+        self._requests = bus.shared(_OneAtATime, _OneAtATime)
         self.protection = Protection(
             "the application timeout, 1 s unless configured otherwise in VESC Tool: it "
             "releases the motor, which coasts; cannot be read over CAN",
@@ -139,6 +165,7 @@ class VescDrive(Drive):
         if self._detecting:
             await self.settled()
         await put_back(self)
+        self._unplaced = False
         with suppress(DeviceTimeout, DeviceRejected):
             self.identity = await read_version(self)
 
@@ -154,6 +181,12 @@ class VescDrive(Drive):
 
         :raises DeviceTimeout: there is none.
         """
+        async with self._requests.turn(self.node, "request"):
+            return await self._ask(payload, node=node, seconds=seconds, once=once)
+
+    async def _ask(
+        self, payload: bytes, *, node: int | None = None, seconds: float, once: bool
+    ) -> bytes:
         host, joined = self.options.host, Assembler()
         to = self.node if node is None or once else node
         found: list[bytes] = []
@@ -168,9 +201,8 @@ class VescDrive(Drive):
             check_fence()
             self.bus.send_together(frames(payload, to=to, sender=host), sender=self)
 
-        async with self._lock:
-            route = Route(host, 0xFF, extended=True)
-            await answer_to(self.bus, (route,), send, matches, seconds=seconds, once=once)
+        route = Route(host, 0xFF, extended=True)
+        await answer_to(self.bus, (route,), send, matches, seconds=seconds, once=once)
         if not found:
             raise DeviceTimeout(
                 f"node {to}: no answer to command {payload[0]} within {seconds:g} s"
@@ -200,17 +232,40 @@ class VescDrive(Drive):
 
         :raises DeviceTimeout: it does not answer within `seconds`.
         """
-        check_fence()
-        self._detecting = self.status.enabled = True
-        try:
-            answer = await self.ask(request, seconds=seconds, once=True)
-        except BaseException:
-            self._ending = True
-            with suppress(RcpError):  # `poll` tries again
-                self._end_detection()
-            raise
-        self._detecting = False
+        async with self._requests.turn(self.node, "detection"):
+            check_fence()
+            self._detecting = self._unplaced = self.status.enabled = True
+            try:
+                answer = await self._ask(request, seconds=seconds, once=True)
+            except BaseException:
+                self._ending = True
+                with suppress(RcpError):  # `poll` tries again
+                    self._end_detection()
+                raise
+            self._detecting = False
         return answer
+
+    async def restore(self) -> None:
+        """Put back what a detection changed; return when it sends its position again, if it ever did.
+
+        However else that ends, the motor is configured again, which no stop of a request ends.
+        """
+        status = self.status
+        seen = status.counts["position"]
+        try:
+            await put_back(self)
+            if seen:
+                with suppress(DeviceTimeout):  # the motor tells, if it needs the position
+                    await self.until(
+                        lambda: status.counts["position"] > seen,
+                        "seen to send its position",
+                        seconds=_PLACES,
+                    )
+        except BaseException:
+            status.reset = "the status messages that its detection changed are put back"
+            status.resets += 1
+            raise
+        self._unplaced = False
 
     def _end_detection(self) -> None:
         """Let it reboot, and ask whether it has: nothing else ends a detection."""
@@ -232,6 +287,7 @@ class VescDrive(Drive):
         if self._ending and data[3:].startswith(b"pong"):
             self._detecting = self._ending = False
             self._rebooted = -math.inf
+            self.status.reset = "the drive rebooted"
             self.status.resets += 1
         return True
 
@@ -246,7 +302,11 @@ class VescDrive(Drive):
 
     def period(self, signal: str) -> float:
         """Return the period of its status messages."""
-        return _PLACED if self._detecting and signal == "position" else _PERIOD
+        return _PERIOD
+
+    def pause(self, signal: str) -> float:
+        """Allow for no position from the beginning of a detection until its status messages are back."""
+        return _PLACED if self._unplaced and signal == "position" else 0.0
 
     def routes(self) -> tuple[Route, ...]:
         """Return all its identifiers, and that of short answers to the gateway."""

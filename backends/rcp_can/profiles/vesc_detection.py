@@ -2,7 +2,8 @@
 
 The firmware measures resistance, inductance and flux linkage, for which it turns the motor open loop,
 looks for sensors, derives the motor's current limit from a power loss, and stores all that. Meanwhile it
-ignores set-points, brakes and its time-out; only a reboot ends it, after which it has its old settings.
+ignores set-points, brakes and its time-out; only a reboot ends it, after which it has its old settings,
+unless it had stored already: in its last two seconds it does, with a second's pause after each part.
 """
 
 from __future__ import annotations
@@ -113,6 +114,10 @@ class _Drive(Protocol):
         """Return the answer to a detection; however it ends, see that the drive ends it."""
         ...
 
+    async def restore(self) -> None:
+        """Put back the application's configuration, now or later."""
+        ...
+
 
 def detection_procedure(drive: _Drive) -> Sequence[Procedure]:
     """Return the procedure."""
@@ -125,7 +130,7 @@ def detection_procedure(drive: _Drive) -> Sequence[Procedure]:
         drive.application = application
         answer = await drive.detect(request, _LONGEST)
         try:
-            await put_back(drive)
+            await drive.restore()
             sensors = _outcome(answer)
             measured = await _measured(drive)
         except RcpError as error:  # what moved is no refusal
@@ -138,7 +143,7 @@ def detection_procedure(drive: _Drive) -> Sequence[Procedure]:
             "detect_motor",
             "Measure its motor and sensors, and store what was measured with the current limit that "
             "follows: the drive turns the motor by itself, which must be free to spin. A stop makes it "
-            "reboot, with its old settings, and the motor coasts.",
+            "reboot, with its old settings unless it had stored already, and the motor coasts.",
             run,
             needs="disabled",
             motion="own",

@@ -55,6 +55,8 @@ class _Drive(Protocol):
     """A drive that answers packets."""
 
     node: int
+    application: bytes | None
+    """The application's configuration that is to be put back, if any."""
 
     async def ask(
         self,
@@ -155,6 +157,7 @@ async def change_node(drive: _Drive, wanted: NodeChange, begun: Callable[[], obj
         )
     changed = bytes((SET_APP,)) + told[1:_ID_AT] + bytes((wanted.node,)) + told[_ID_AT + 1 :]
     begun()
+    drive.application = None  # it has the old id
     await drive.ask(changed, node=wanted.node, seconds=_STORES, once=True)
     kept = await drive.ask(bytes((GET_APP,)), node=wanted.node)
     if kept[1:] != changed[1:]:

@@ -6,6 +6,7 @@ import copy
 import math
 import struct
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rcp_can.profiles import vesc_settings as settings
@@ -53,6 +54,10 @@ class VescTwin(Twin):
         """What runs now."""
         self.detects = 0.4
         """How long a detection lasts, s."""
+        self.pauses = 0.3
+        """How long a detection waits after each of two configurations that it stores, s; the firmware 1 s."""
+        self._left: list[tuple[float, Callable[[], object]]] = []
+        """What a detection that has measured still does, and when."""
         self.fails = 0
         """The result of detections, if they fail."""
         self.boots = 0.3
@@ -66,6 +71,7 @@ class VescTwin(Twin):
         super().boot()
         self.limits, self.motor = list(self.stored), copy.deepcopy(self.stored_motor)
         self.detection, self._packets = None, Assembler()
+        self._left.clear()
         self._booting = time.monotonic()
 
     def _packet(self, frame: int, data: bytes) -> None:
@@ -101,8 +107,7 @@ class VescTwin(Twin):
                 self._set_limits(payload)
                 return payload[:1] if payload[3] else None
             case settings.GET_APP:
-                head = self.signature.to_bytes(4, "big") + bytes((self.node,))
-                return payload[:1] + head + self.rest
+                return self._application()
             case settings.SET_APP if payload[1:5] == self.signature.to_bytes(4, "big"):
                 self.node, self.rest = payload[5], payload[6:]
                 self.stores += 1
@@ -127,19 +132,39 @@ class VescTwin(Twin):
         self.limits[8], self.limits[9] = least, most
 
     def _detect(self, now: float) -> None:
-        """Go on with a detection; store its result, and tell it."""
+        """Go on with a detection; once it has measured, store that in parts, and tell its result."""
         assert self.detection is not None
+        if self._left:
+            if now >= self._left[0][0]:
+                self._left.pop(0)[1]()
+            return
         result = self.detection.advance(now, self.fails)
         if result is None:
             return
-        if result >= 0:
-            self.detection.apply(self.motor, self._set_battery)
-            self.stored, self.stored_motor = list(self.limits), copy.deepcopy(self.motor)
-            self.stores += 1
+        if result < 0:
+            self._end(result)
+            return
+        self.detection.apply(self.motor, self._set_battery)
+        if self.rest[_RATES] != _AFTER_DETECTION:
             rates = bytes((_AFTER_DETECTION,))
             self.rest = self.rest[:_RATES] + rates + self.rest[_RATES + 1 :]
+            self.stores += 1
+            self._tell(self._asker, self._application())
+            now += self.pauses
+        self._left = [(now, self._store_motor), (now + self.pauses, lambda: self._end(result))]
+
+    def _store_motor(self) -> None:
+        self.stored, self.stored_motor = list(self.limits), copy.deepcopy(self.motor)
+        self.stores += 1
+        self._tell(self._asker, bytes((GET_MOTOR,)) + bytes(self.motor.data))
+
+    def _end(self, result: int) -> None:
         self.detection = None
         self._tell(self._asker, struct.pack(">Bh", DETECT, result))
+
+    def _application(self) -> bytes:
+        head = bytes((settings.GET_APP,)) + self.signature.to_bytes(4, "big")
+        return head + bytes((self.node,)) + self.rest
 
     def _set_limits(self, payload: bytes) -> None:
         for place, value in enumerate(struct.unpack(">10f", payload[5:])):

@@ -12,10 +12,20 @@ import pytest
 from backends.can.rig import motor
 from backends.can.test_gateway import bed
 from rcp_can.profiles import vesc_detection as ours
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout, ModeForbids
+from rcp_can.sim import make_twin
+from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, ModeForbids
 
 BODY = {"power_loss": 45.0}
 LAYOUT = ours.LAYOUTS[776184161]
+ENDS: dict[str, tuple[type[BaseException], str]] = {
+    "cancel": (asyncio.CancelledError, "^$"),
+    "halt": (ModeForbids, "halted"),
+    "hold": (ModeForbids, "commanded to hold"),
+    "at once": (ModeForbids, "halted"),
+    "unheard": (AdapterUnavailable, "no message received"),
+    "timeout": (DeviceTimeout, "no answer to command 58"),
+}
+"""What ends a detection, and the error that it ends with."""
 
 
 def test_the_commands_are_those_of_the_firmware() -> None:
@@ -44,6 +54,99 @@ async def test_a_motor_is_measured_and_the_rest_of_the_drive_stays_as_it_was() -
         assert twin.stored_motor.get(LAYOUT.resistance) == pytest.approx(0.05)
         assert rig.axis.state == "disabled"
         await rig.enable()
+
+
+async def test_a_position_that_pauses_while_the_drive_stores_ends_no_detection() -> None:
+    async with motor("vesc", commissioning=True, position=[-1000.0, 1000.0]) as rig:
+        twin, axis = rig.twin, rig.axis
+        twin.detects, twin.pauses = 0.1, 0.6  # twice that is more than a position may be old
+        usual, rest = axis.limit_of("position"), twin.rest
+        assert (await rig.ran("action/m/detect_motor", BODY))["sensors"] == "hall"
+        assert twin.rest == rest
+        assert rig.faults() == []
+        assert axis.limit_of("position") == usual == 1.0
+        assert axis.is_fresh("position")
+        await rig.enable()
+
+
+@pytest.mark.parametrize(
+    ("end", "error"),
+    [
+        ("cancel", asyncio.CancelledError),
+        ("halt", ModeForbids),
+        ("unanswered", (DeviceTimeout, AdapterUnavailable)),  # or, as soon, that it is put back
+    ],
+)
+async def test_status_messages_are_put_back_whatever_ends_a_detection_that_has_stored(
+    end: str,
+    error: type[BaseException] | tuple[type[BaseException], ...],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rcp_can.axis._RETRY", 0.1)
+    async with motor("vesc", commissioning=True, position=[-1000.0, 1000.0]) as rig:
+        twin, drive = rig.twin, rig.axis.drive
+        twin.detects, rest = 0.1, twin.rest
+        running = asyncio.ensure_future(rig.execute("action/m/detect_motor", BODY))
+        await rig.until(lambda: twin.rest != rest)
+        twin.deaf = True  # so that it does not take them back at once
+        await rig.until(lambda: drive.application is not None and not drive.busy)
+        with anyio.fail_after(30):
+            if end == "cancel":
+                running.cancel()
+            elif end == "halt":
+                await rig.backend.halt()
+            with pytest.raises(error):
+                await running
+        assert twin.rest != rest
+        twin.deaf = False
+        await rig.until(lambda: twin.rest == rest and rig.axis.configured)
+        assert drive.application is None
+        await rig.host.published_as("sensor/m/state", state="disabled")
+        await rig.enable()
+
+
+async def test_a_stop_while_the_drive_stores_leaves_no_other_status_messages() -> None:
+    async with motor("vesc", commissioning=True, position=[-1000.0, 1000.0]) as rig:
+        twin = rig.twin
+        before, rest = bytes(twin.stored_motor.data), twin.rest
+        twin.detects, twin.pauses = 0.1, 5.0
+        running = asyncio.ensure_future(rig.execute("action/m/detect_motor", BODY))
+        await rig.until(lambda: twin.rest != rest)
+        with anyio.fail_after(30):
+            await rig.backend.halt()
+            with pytest.raises(ModeForbids, match="halted"):
+                await running
+        await rig.until(lambda: twin.rest == rest and rig.axis.configured)
+        assert bytes(twin.motor.data) == before
+
+
+async def test_what_is_asked_of_another_vesc_meanwhile_names_the_detection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rcp_can.profiles.vesc._TURN", 0.2)
+    second = make_twin("vesc", 8)
+    table = {"bus": "can0", "profile": "vesc", "node": 8, "commissioning": True}
+    async with motor("vesc", commissioning=True, twins=(second,), motors={"n": table}) as rig:
+        rig.twin.detects = 60.0
+        await rig.until(lambda: rig.backend.axes["n"].configured)
+        running = asyncio.ensure_future(rig.execute("action/m/detect_motor", BODY))
+        await rig.until(lambda: rig.twin.detection is not None)
+        for name, body in (("service/n/dump_settings", None), ("action/n/detect_motor", BODY)):
+            with pytest.raises(DeviceTimeout, match="detection of node 7 still runs"):
+                await rig.ran(name, body)
+        assert second.detection is None
+        running.cancel()
+        with anyio.fail_after(30), pytest.raises(asyncio.CancelledError):
+            await running
+        assert (await rig.ran("service/n/dump_settings"))["settings"] > 0
+
+
+async def test_a_configuration_with_the_old_id_is_not_put_back() -> None:
+    async with motor("vesc", commissioning=True) as rig:
+        drive = rig.axis.drive
+        drive.application = b"with the old id"
+        await rig.ran("service/m/set_node", {"node": 9})
+        assert drive.application is None
 
 
 async def test_of_another_firmware_only_the_sensors_are_told() -> None:
@@ -91,7 +194,7 @@ async def test_a_detection_needs_a_motor_that_is_off_and_known_firmware() -> Non
         assert rig.twin.plant.position == 0.0
 
 
-@pytest.mark.parametrize("end", ["cancel", "halt", "hold", "at once", "unheard", "timeout"])
+@pytest.mark.parametrize("end", ENDS)
 async def test_an_ended_detection_is_at_rest_and_stays_there(
     end: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -126,7 +229,7 @@ async def test_an_ended_detection_is_at_rest_and_stays_there(
                 with anyio.fail_after(30):
                     await rig.backend.halt()
         with anyio.fail_after(30):
-            with pytest.raises((asyncio.CancelledError, Exception)):
+            with pytest.raises(ENDS[end][0], match=ENDS[end][1]):
                 await running
             await rig.until(lambda: not rig.axis.drive.busy)
             await rig.until(lambda: rig.axis.resting)
