@@ -23,7 +23,7 @@ _REASON = "RC calibrating"
 _UNSUPPORTED = "unsupported"
 """The answer of an ArduPilot that has changed nothing but its flag."""
 _ATTEMPTS, _ANSWER = 3, 1.0  # requests for the reasons against arming, and s for each
-_AT_ONCE, _LATER = 1.7, 30.0  # s to wait until the sticks are let go, at the end and each time later
+_AT_ONCE, _LATER = 1.7, 30.0  # s for the sticks to be let go, at the end and later
 
 
 class ArmingBlock:

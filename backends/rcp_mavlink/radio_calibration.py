@@ -161,22 +161,19 @@ class RadioCalibration:
         self._going_on, self._step = asyncio.Event(), step
         progress(m.Calibrating(text, step), fraction=part)
         going_on = self._going_on
+
+        def is_over() -> bool:
+            return going_on.is_set() or self._vehicle.armed or restart.done or restart.began_again
+
         while not going_on.is_set():
-            await self._vehicle.until(
-                lambda: (
-                    going_on.is_set()
-                    or self._vehicle.armed
-                    or restart.done
-                    or restart.began_again
-                )
-            )
+            await self._vehicle.until(is_over)
             if self._vehicle.armed:
                 raise PreconditionFailed(_ARMED, remedy=_DISARM)
             if restart.began_again:
                 raise PreconditionFailed(
                     _RESTARTED, remedy="Leave the sticks alone, and begin again."
                 )
-            if restart.done:  # only its heartbeats paused; it may have restarted unseen all the same
+            if restart.done:  # by its heartbeats only: it hardly has, but its flag may be gone
                 restart.overlook_pause()
                 await self._block.renew()
 
