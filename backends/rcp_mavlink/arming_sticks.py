@@ -14,8 +14,8 @@ __all__ = ["ArmingSticks"]
 _CHANNELS = "RC_CHANNELS"
 _RATE = 10.0  # Hz
 _LONG_ENOUGH = 1.0  # s
-_GAP = 0.5  # s between two messages after which nothing is known of the time between
-_AWAY = 0.5  # of the way from the middle to an end; ArduPilot arms from about 0.9
+_GAP = 1.2  # s without a message after which nothing is known of the time between; some send one a second
+_AWAY = 0.7  # of the way from the middle to an end; ArduPilot arms from about 0.9
 _YAW, _STEERING = ("RCMAP_YAW", 4.0), ("RCMAP_ROLL", 1.0)
 """The parameters that name the channel, of what flies and of what drives, and their defaults."""
 _LEAST, _MIDDLE, _MOST = 1100.0, 1500.0, 1900.0  # us, ArduPilot's defaults
