@@ -8,6 +8,7 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
 
 from rcp_kernel.errors import DeviceRejected, PreconditionFailed, RcpError
+from rcp_mavlink.arming_sticks import ArmingSticks
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.vehicle import Vehicle
@@ -22,6 +23,7 @@ _REASON = "RC calibrating"
 _UNSUPPORTED = "unsupported"
 """The answer of an ArduPilot that has changed nothing but its flag."""
 _ATTEMPTS, _ANSWER = 3, 1.0  # requests for the reasons against arming, and s for each
+_AT_ONCE, _LATER = 1.7, 30.0  # s for the sticks to be let go, at the end and later
 
 
 class ArmingBlock:
@@ -30,16 +32,26 @@ class ArmingBlock:
     The vehicle keeps it until it is released or restarts, also if the gateway is gone meanwhile.
     """
 
-    def __init__(self, vehicle: Vehicle, commands: Commands, motion: Motion) -> None:
+    def __init__(
+        self, vehicle: Vehicle, commands: Commands, motion: Motion, sticks: ArmingSticks
+    ) -> None:
         self._vehicle, self._commands, self._motion = vehicle, commands, motion
+        self._sticks = sticks
         self._held = False
         self._owed = False
         """Whether the flag may be set on board although nobody holds it."""
         self._releasing: asyncio.Task[None] | None = None
 
+    @property
+    def is_owed(self) -> bool:
+        """Whether the vehicle may go on refusing to arm, until `keep_releasing` has released it."""
+        return self._owed
+
     @asynccontextmanager
     async def held(self) -> AsyncGenerator[None]:
         """Block arming while entered, and release it afterwards, also when it is cancelled.
+
+        Not while the sticks are where they would arm it at once: see `is_owed`.
 
         :raises PreconditionFailed: the vehicle does not say that it cannot be armed.
         """
@@ -50,7 +62,7 @@ class ArmingBlock:
         finally:
             self._held = False
             with suppress(RcpError):  # `keep_releasing` goes on
-                await self._motion.shielded(self._release)
+                await self._motion.shielded(lambda: self._release(_AT_ONCE))
 
     async def renew(self) -> None:
         """Set the flag, and wait until the vehicle names it as a reason against arming.
@@ -70,7 +82,7 @@ class ArmingBlock:
         )
 
     def keep_releasing(self) -> None:
-        """Release what could not be released, because the link was lost for example."""
+        """Release what could not be released: the link was lost, or the sticks were not let go."""
         vehicle, task = self._vehicle, self._releasing
         waits = self._held or vehicle.lost or vehicle.armed  # an armed one refuses it
         if self._owed and not waits and (task is None or task.done()):
@@ -86,10 +98,13 @@ class ArmingBlock:
 
     async def _release_quietly(self) -> None:
         with suppress(RcpError):
-            await self._release()
+            await self._release(_LATER)
 
-    async def _release(self) -> None:
-        if self._owed:
+    async def _release(self, seconds: float) -> None:
+        """Release it once the sticks are let go, if that is within some seconds."""
+        if not self._owed or self._vehicle.armed or not await self._sticks.let_go(seconds):
+            return
+        if not self._held:  # it may have been blocked again meanwhile
             await self._flag(_RELEASE)
             self._owed = self._held
 

@@ -6,12 +6,13 @@ from rcp_mavlink.geo import distance
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["beyond", "crossing", "has_areas", "is_breached", "is_enabled", "is_united"]
+__all__ = ["beyond", "crossing", "has_areas", "is_breached", "is_enabled", "is_united", "unknown"]
 
 _GEOFENCE = 1 << 20  # of SYS_STATUS
 _CEILING, _CIRCLE, _POLYGON, _FLOOR = 1, 2, 4, 8  # of FENCE_TYPE
 _UNION = 2  # of FENCE_OPTIONS
 _KEEPS_FENCES = 1 << 14  # MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+_WARNS = 1  # of GF_ACTION; 0 is none
 
 
 def is_enabled(vehicle: Vehicle) -> bool:
@@ -41,14 +42,22 @@ def crossing(
 
 
 def beyond(
-    vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
+    vehicle: Vehicle,
+    parameters: Parameters,
+    place: tuple[float, float],
+    height: float,
+    *,
+    warns: bool = False,
 ) -> str | None:
     """Describe which height or radius a target surely violates; None if none.
 
-    The polygons of a fence are on board only, where anybody may change them.
+    The polygons of a fence are on board only, where anybody may change them. A PX4 takes targets
+    beyond a fence that only warns; with `warns`, that one counts too.
     """
     if vehicle.family.px4:
-        return _beyond_px4(vehicle, parameters, place, height)
+        action = _value(parameters, "GF_ACTION") or 0.0
+        counts = action > 0 if warns else action > _WARNS
+        return _beyond_px4(vehicle, parameters, place, height) if counts else None
     if not is_enabled(vehicle):
         return None
     kinds, away = _kinds(parameters), _from_home(vehicle, place)
@@ -67,8 +76,6 @@ def _beyond_px4(
     vehicle: Vehicle, parameters: Parameters, place: tuple[float, float], height: float
 ) -> str | None:
     """Describe what a target violates of PX4's limits, each of which is off at 0."""
-    if not _acts(parameters):
-        return None
     radius = _value(parameters, "GF_MAX_HOR_DIST") or 0.0
     ceiling = _value(parameters, "GF_MAX_VER_DIST") or 0.0
     away = _from_home(vehicle, place)
@@ -85,7 +92,7 @@ def has_areas(vehicle: Vehicle, parameters: Parameters) -> bool:
     if frame is not None and not frame.fields()["capabilities"] & _KEEPS_FENCES:
         return False
     if vehicle.family.px4:
-        return _acts(parameters)
+        return bool(_value(parameters, "GF_ACTION"))
     return is_enabled(vehicle) and bool(_kinds(parameters) & _POLYGON)
 
 
@@ -95,8 +102,29 @@ def is_united(vehicle: Vehicle, parameters: Parameters) -> bool:
     return vehicle.family.px4 or bool(int(options or 0) & _UNION)
 
 
-def _acts(parameters: Parameters) -> bool:
-    return bool(_value(parameters, "GF_ACTION"))
+def unknown(vehicle: Vehicle, parameters: Parameters) -> str | None:
+    """Describe what is not known of the fence, so that nobody can say what is inside; None if nothing."""
+    if vehicle.family.px4:
+        names = ["GF_ACTION"]
+        if _value(parameters, "GF_ACTION"):
+            names += ["GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"]
+        from_home = bool(_value(parameters, "GF_ACTION") and _value(parameters, "GF_MAX_HOR_DIST"))
+    elif "SYS_STATUS" not in vehicle.latest:
+        return "whether its fence is enabled"
+    elif not is_enabled(vehicle):
+        return None
+    else:
+        kinds = _kinds(parameters)
+        flies = not vehicle.family.drives  # what drives has no limits of its height
+        names = ["FENCE_TYPE"]
+        names += ["FENCE_ALT_MAX"] if flies and kinds & _CEILING else []
+        names += ["FENCE_ALT_MIN"] if flies and kinds & _FLOOR else []
+        names += ["FENCE_RADIUS"] if kinds & _CIRCLE else []
+        from_home = bool(kinds & _CIRCLE)
+    missing = next((name for name in names if name not in parameters.known), None)
+    if missing is None and from_home and vehicle.home is None:
+        return "its home, from which its fence is measured"
+    return None if missing is None else f"its parameter {missing}"
 
 
 def _from_home(vehicle: Vehicle, place: tuple[float, float]) -> float:

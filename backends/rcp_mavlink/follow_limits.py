@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+import time
+from contextlib import suppress
 
 from rcp_kernel.errors import DeviceRejected, PreconditionFailed
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.enclosure import Enclosure, ahead
-from rcp_mavlink.fences import beyond, has_areas, is_united
+from rcp_mavlink.fences import beyond, has_areas, is_united, unknown
 from rcp_mavlink.geo import shifted
 from rcp_mavlink.pace import Pace
 from rcp_mavlink.parameters import Parameters
@@ -18,7 +21,8 @@ from rcp_mavlink.vehicle import Vehicle
 __all__ = ["FollowLimits", "LimitWatch"]
 
 _CHANGE_SPEED, _GROUND_SPEED = 178, 1.0
-_UNTIL_IT_BRAKES = 0.75  # s: the position's age, the period of the checks, and the command
+_LISTING = 5.0  # s for parameters that are not listed yet
+_UNTIL_IT_BRAKES = 0.75  # s after its position was measured: the checks' period, and the command
 _BRAKING, _VERTICALLY = 2.5, 1.0  # m/s2
 _STANDING = 0.2  # m/s below which it goes nowhere
 _FENCED = "Fly back with action/move_to, and follow something inside the fence: see service/fence/download, param/FENCE_* or param/GF_*."
@@ -95,20 +99,25 @@ class LimitWatch:
         north, east, down = (f[name] / 100 for name in ("vx", "vy", "vz"))
         speed = (north * north + east * east) ** 0.5
         fastest = math.inf if self.speed is None else self.speed
-        left = ahead(speed, fastest, _UNTIL_IT_BRAKES, _BRAKING)
+        age = time.monotonic() - self._vehicle.measured_at["GLOBAL_POSITION_INT"]
+        until = _UNTIL_IT_BRAKES + max(0.0, age)
+        left = ahead(speed, fastest, until, _BRAKING)
         seconds = left / speed if speed > _STANDING else 0.0
         place = shifted(north * seconds, east * seconds, (fix.lat, fix.lon))
-        height = fix.height - (
-            ahead(down, abs(down), _UNTIL_IT_BRAKES, _VERTICALLY) if down else 0.0
-        )
-        why = beyond(self._vehicle, self._parameters, place, height)
-        if (
-            why is None
-            and self._enclosure is not None
-            and has_areas(self._vehicle, self._parameters)
-        ):
-            why = self._enclosure.left(place)
-        return why
+        height = fix.height - (ahead(down, abs(down), until, _VERTICALLY) if down else 0.0)
+        return self._violated(place, height)
+
+    def _violated(self, place: tuple[float, float], height: float) -> str | None:
+        """Describe the fence that a place (deg) or height (m) violates, or may because it is not known."""
+        vehicle, parameters = self._vehicle, self._parameters
+        if (what := unknown(vehicle, parameters)) is not None:
+            return f"{what}, is not known"
+        why = beyond(vehicle, parameters, place, height, warns=True)
+        if why is not None or not has_areas(vehicle, parameters):
+            return why
+        if self._enclosure is None:
+            return "its fence was enabled meanwhile, whose areas are not known"
+        return self._enclosure.left(place)
 
 
 class FollowLimits:
@@ -128,9 +137,11 @@ class FollowLimits:
     async def watch(self) -> LimitWatch:
         """Read the fence, and begin to watch.
 
+        :raises PreconditionFailed: its parameters are not listed yet, or the fence is damaged.
         :raises RcpError: the fence cannot be read, or the vehicle is outside it.
         """
         vehicle, parameters, enclosure = self._vehicle, self._parameters, None
+        await self._check_known()
         if has_areas(vehicle, parameters):
             items = await self._plans.download(FENCE)
             try:
@@ -143,3 +154,23 @@ class FollowLimits:
         watch = LimitWatch(vehicle, self._commands, parameters, self._limit, enclosure)
         watch.refuse()
         return watch
+
+    async def _check_known(self) -> None:
+        """Have the parameters of the fence listed.
+
+        :raises PreconditionFailed: some of them are not known.
+        """
+        parameters = self._parameters
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_LISTING):
+                await parameters.list()
+        if not parameters.complete.is_set():
+            raise PreconditionFailed(
+                "follow: the vehicle's parameters are not listed yet, so its fence is not known",
+                remedy="Try again in a while: on a slow link, their list takes some minutes.",
+            )
+        if (what := unknown(self._vehicle, parameters)) is not None:
+            raise PreconditionFailed(
+                f"follow: {what}, is not known: it may be outside its fence",
+                remedy="Wait until the vehicle has reported it; check it with a ground station.",
+            )

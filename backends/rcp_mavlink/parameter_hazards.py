@@ -20,9 +20,11 @@ _FAMILIES = (
     r"ESC_.*", r"ICE_.*", r"WINCH_.*", r"GRIP_.*", r"CHUTE_.*", r"LGR_.*", r"SPRAY_.*",
     r"CAN_D\d_UC_.*", r"MNT.*", r"THR_.*", r"SAIL_.*",
     r"PWM_.*", r"HIL_ACT_.*", r"UAVCAN_.*", r"DSHOT_.*", r"CA_.*", r"VOXL.*", r"TAP_ESC_.*",
+    r"PCA9685_.*", r"RBCLW_.*", r"VTQ_.*", r".*_(DIS|FUNC|MIN|MAX|FAIL)\d+", r".*_REV\d*",
     # Arming without a command, and what a switch or stick of a remote control does.
     r"ARMING_.*", r"BRD_SAFETY.*", r"RC\d*_.*", r"RCMAP_.*",
     r"FLTMODE\d*(_.*)?", r"MODE(\d+|_CH)", r"FLIGHT_MODE\d+", r"CH\d+_OPT(ION)?", r"INITIAL_MODE",
+    r"BTN\d+_S?FUNCTION",
     r"COM_ARM.*", r"COM_PREARM_.*", r"COM_FLTMODE\d+", r"COM_RC_.*", r"COM_KILL_.*", r"CBRK_.*",
     r"MAN_.*",
     # Programs on the vehicle, and a simulated one's world.

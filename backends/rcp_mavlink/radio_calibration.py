@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 from rcp_kernel.errors import (
     AdapterUnavailable,
+    Cancelled,
     DeviceRejected,
     PreconditionFailed,
     RcpError,
@@ -43,6 +44,8 @@ _ARMED = "calibrate radio: the vehicle was armed meanwhile, and still is"
 _RESTARTED = (
     "calibrate radio: the vehicle restarted, so its sticks can arm it again; nothing was written"
 )
+_OWED = "the vehicle refuses to arm until its sticks are let go and the gateway reaches it"
+_LET_GO = "Put its sticks in the middle; if the vehicle does not report them any more, execute service/reboot."
 _DISARM = "Stand back, and execute action/disarm before you try again."
 _ENDS = (
     "Move all sticks and switches to all their ends; until this is over the vehicle refuses to arm."
@@ -82,6 +85,7 @@ class RadioCalibration:
         :raises AdapterUnavailable: no pulses of a remote control are reported.
         :raises PreconditionFailed: it does not confirm that it cannot be armed, or restarts.
         :raises DeviceRejected: a stick that flies the vehicle was not moved.
+        :raises Cancelled: it was cancelled while the sticks would arm the vehicle.
         """
         if self._vehicle.family.px4:
             raise UnsupportedOperation(
@@ -90,8 +94,20 @@ class RadioCalibration:
             )
         with self._pulses():
             await self._first()
-            async with self._block.held():
-                return m.Calibrated("radio", await self._calibrated(progress))
+            try:
+                async with self._block.held():
+                    done = await self._calibrated(progress)
+            except asyncio.CancelledError:
+                if not self._block.is_owed:
+                    raise
+                text = f"calibrate radio was cancelled; {_OWED}"
+                raise Cancelled(text, remedy=_LET_GO) from None
+            except RcpError as error:
+                if self._block.is_owed:
+                    error.message = f"{error.message}; {_OWED}"
+                    error.remedy = f"{error.remedy} {_LET_GO}"
+                raise
+            return m.Calibrated("radio", [*done, _OWED] if self._block.is_owed else done)
 
     async def _calibrated(self, progress: Progress) -> list[str]:
         with watched(self._vehicle) as restart:
@@ -145,11 +161,21 @@ class RadioCalibration:
         self._going_on, self._step = asyncio.Event(), step
         progress(m.Calibrating(text, step), fraction=part)
         going_on = self._going_on
-        await self._vehicle.until(lambda: going_on.is_set() or self._vehicle.armed or restart.done)
-        if self._vehicle.armed:
-            raise PreconditionFailed(_ARMED, remedy=_DISARM)
-        if restart.done:
-            raise PreconditionFailed(_RESTARTED, remedy="Leave the sticks alone, and begin again.")
+
+        def is_over() -> bool:
+            return going_on.is_set() or self._vehicle.armed or restart.done or restart.began_again
+
+        while not going_on.is_set():
+            await self._vehicle.until(is_over)
+            if self._vehicle.armed:
+                raise PreconditionFailed(_ARMED, remedy=_DISARM)
+            if restart.began_again:
+                raise PreconditionFailed(
+                    _RESTARTED, remedy="Leave the sticks alone, and begin again."
+                )
+            if restart.done:  # by its heartbeats only: it hardly has, but its flag may be gone
+                restart.overlook_pause()
+                await self._block.renew()
 
     def _now(self) -> dict[int, int]:
         frame = self._vehicle.latest.get(_CHANNELS)

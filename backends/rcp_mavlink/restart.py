@@ -26,6 +26,8 @@ class Restart:
         self._clock = 0 if last is None else vehicle.latest[last].fields()["time_boot_ms"]
         self._heard = time.monotonic()
         self._gone = False
+        self.began_again = False
+        """Whether its clock was seen to begin again."""
         self.done = False
         """Whether it was seen to go, and a heartbeat has come since."""
 
@@ -33,7 +35,8 @@ class Restart:
         """See whether the clock began again."""
         clock = frame.fields()["time_boot_ms"]
         if clock:  # some vehicles leave it at 0
-            self._gone = self._gone or clock + _OUT_OF_ORDER < self._clock
+            self.began_again = self.began_again or clock + _OUT_OF_ORDER < self._clock
+            self._gone = self._gone or self.began_again
             self._clock = max(clock, self._clock)
 
     def take_heartbeat(self, _: Frame) -> None:
@@ -41,6 +44,10 @@ class Restart:
         now = time.monotonic()
         self._gone = self._gone or now - self._heard >= _PAUSE
         self._heard, self.done = now, self._gone
+
+    def overlook_pause(self) -> None:
+        """Take a pause of the heartbeats for one of the link."""
+        self._gone = self.done = self.began_again
 
 
 @contextmanager

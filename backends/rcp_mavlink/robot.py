@@ -23,6 +23,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.spi import Anchor, Host, Progress
 from rcp_mavlink import messages as m
 from rcp_mavlink.arming_block import ArmingBlock
+from rcp_mavlink.arming_sticks import ArmingSticks
 from rcp_mavlink.calibration import Calibration
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.component_metadata import ComponentMetadata
@@ -147,7 +148,8 @@ class Robot:
             242: self._homed,  # HOME_POSITION
         }
         self._flights = Flights(vehicle, self._commands, self.motion, self.parameters, journeys)
-        self._arming_block = ArmingBlock(vehicle, self._commands, self.motion)
+        sticks = ArmingSticks(vehicle, self.intervals, self.parameters)
+        self._arming_block = ArmingBlock(vehicle, self._commands, self.motion, sticks)
         calibration = Calibration(
             vehicle,
             self._commands,

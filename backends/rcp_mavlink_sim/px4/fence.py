@@ -13,6 +13,8 @@ _HEIGHT, _RADIUS, _AREA = 1, 2, 4
 _TERMINATE = 4
 _MODES = {2: HOLD, 3: Mode.RTL, 5: Mode.LAND}
 """By GF_ACTION; 0 does nothing, 1 warns."""
+_TAKES_ANY = (0, 1)
+"""The actions with which it may be sent anywhere."""
 _KILL = 21196.0
 
 
@@ -35,7 +37,7 @@ class Px4Fence(Fence):
 
     def allows(self, place: Point, height: float) -> bool:
         """Return whether the vehicle may be sent somewhere."""
-        return not self._vehicle.params["GF_ACTION"] or not self.crossed(place, height)
+        return self._vehicle.params["GF_ACTION"] in _TAKES_ANY or not self.crossed(place, height)
 
     def check(self) -> None:
         """Check for violations; report new ones and act on them."""

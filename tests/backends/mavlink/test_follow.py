@@ -219,6 +219,11 @@ class Px4Follower(Px4):
     def __init__(self) -> None:
         super().__init__()
         self.params |= {"FLW_TGT_DST": (8.0, 9), "FLW_TGT_FA": (180.0, 9), "FLW_TGT_HT": (8.0, 9)}
+        self.params |= {
+            "GF_ACTION": (0.0, 6),
+            "GF_MAX_HOR_DIST": (0.0, 9),
+            "GF_MAX_VER_DIST": (0.0, 9),
+        }
         self.mode, self.armed, self.landed, self.height = HOLD, True, 2, 20.0
 
 

@@ -11,12 +11,14 @@ from typing import Any
 import pytest
 
 from backends.mavlink.flying import airborne, speed, twin
-from backends.mavlink.puppet import station
+from backends.mavlink.puppet import Station, station
 from backends.mavlink.test_equipment import estop
 from backends.mavlink.test_follow import DEGREE, KIND, ON, Px4Follower, ended, target
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
+from backends.mavlink.test_px4 import HOLD
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import OPERATOR, serve
+from rcp_mavlink import follow_limits
 from rcp_mavlink_sim.modes import Mode
 
 FOLLOW, LIMIT = "/tenant/t/action/follow", "/tenant/t/param/speed_limit"
@@ -169,6 +171,94 @@ async def test_one_that_ignores_its_speed_limit_is_told_to_hold() -> None:
         reply = await found.do("action/follow")
         assert reply["error"]["code"] == "device_rejected", reply
         assert "3 m/s requested, but it moves at 9.0 m/s" in reply["message"]
+
+
+class Fenced(Px4Follower):
+    """It flies north in a fence round its home, without areas."""
+
+    def __init__(self, action: float = 2.0) -> None:
+        super().__init__()
+        self.params |= {"GF_ACTION": (action, 6), "GF_MAX_HOR_DIST": (3.2, 9)}
+        self.params["MPC_XY_VEL_MAX"] = (2.0, 9)
+        self.velocity = (2.0, 0.0, 0.0)
+        self.also.append(lambda: setattr(self, "velocity", (2.0, 0.0, 0.0)))
+        self.pauses = False
+        self.on["MISSION_REQUEST_LIST"] = lambda _: self.send("MISSION_COUNT", 255, 190, 0, 1)
+
+    def send(self, name: str, *fields: Any) -> None:
+        if not (self.pauses and name == "GLOBAL_POSITION_INT"):
+            super().send(name, *fields)
+
+
+@asynccontextmanager
+async def aloft(puppet: Px4Follower) -> AsyncGenerator[Station]:
+    async with station(puppet) as found:
+        vehicle = found.robot.vehicle
+        await eventually(lambda: _is(vehicle.landed is False and vehicle.home), "aloft")
+        where = {"latitude": 47.0002, "longitude": 8.0}
+        await found.write("actuator/follow_target", where, valid_for=60.0)
+        yield found
+
+
+async def test_nothing_is_followed_while_parameters_are_not_listed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(follow_limits, "_LISTING", 0.3)
+    puppet = Fenced()
+    puppet.tell = lambda name: puppet.send("PARAM_VALUE", name.encode(), 0.0, 9, 1000, 0)
+    async with aloft(puppet) as found:
+        reply = await found.do("action/follow")
+        assert reply["error"]["code"] == "precondition_failed", reply
+        assert "not listed yet, so its fence is not known" in reply["message"]
+        assert not puppet.commands(176)
+
+
+@pytest.mark.parametrize("name", ["GF_ACTION", "GF_MAX_HOR_DIST"])
+async def test_nothing_is_followed_without_the_parameters_of_a_fence(name: str) -> None:
+    puppet = Fenced()
+    del puppet.params[name]
+    async with aloft(puppet) as found:
+        await found.robot.parameters.complete.wait()
+        reply = await found.do("action/follow")
+        assert reply["error"]["code"] == "precondition_failed", reply
+        assert name in reply["message"]
+
+
+async def test_an_ardupilot_neither() -> None:
+    async with follower() as pilot:
+        pilot.vehicle.params.set("FENCE_ENABLE", 1)
+        await fenced(pilot)
+        await target(pilot, 5.0)
+        robot = pilot.served.life.backend.robots[""]
+        for name in ("FENCE_RADIUS", "FENCE_ALT_MAX", "FENCE_TYPE"):
+            kept = robot.parameters.known.pop(name)
+            reply = await pilot.do("action/follow")
+            assert reply["error"]["code"] == "precondition_failed", reply
+            assert name in reply["message"]
+            robot.parameters.known[name] = kept
+
+
+@pytest.mark.parametrize("action", [1.0, 2.0])
+async def test_it_holds_inside_although_positions_pause(action: float) -> None:
+    puppet = Fenced(action)
+    async with aloft(puppet) as found:
+        await found.robot.parameters.complete.wait()
+        id_ = await found.client.send(type="execute", path=FOLLOW, body=None)
+        await eventually(lambda: _is(found.robot.vehicle.mode == "FOLLOW"), "it follows")
+        puppet.pauses = True
+        reply = await ended(found, id_)
+        assert reply["error"]["code"] == "device_rejected", reply
+        assert "GF_MAX_HOR_DIST 3.2 m" in reply["message"]
+        assert puppet.mode == HOLD
+
+
+async def test_a_fence_with_areas_that_is_enabled_meanwhile_ends_it() -> None:
+    async with follower(FENCE_TYPE=4.0) as pilot, leading(pilot, 1.0):
+        id_ = await pilot.client.send(type="execute", path=FOLLOW, body=None)
+        await eventually(lambda: _is(speed(pilot.vehicle) > 0.5), "it follows")
+        pilot.vehicle.params.set("FENCE_ENABLE", 1)
+        reply = await ended(pilot, id_)
+        assert "areas are not known" in reply["message"], reply
 
 
 @pytest.mark.parametrize("by", ["estop", "lease"])

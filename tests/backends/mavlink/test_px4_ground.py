@@ -120,6 +120,14 @@ async def test_what_leaves_its_fence_does_as_its_parameter_says(action: int, mod
         )
 
 
+async def test_targets_outside_a_fence_that_only_warns_are_flown_to() -> None:
+    async with px4(parameters={"GF_ACTION": 1.0, "GF_MAX_HOR_DIST": 15.0}) as pilot:
+        await pilot.served.life.backend.robots[""].parameters.complete.wait()
+        reply = await pilot.do("action/move_to", {"north": 20.0})
+        assert reply["status"] == "completed", reply
+        assert pilot.vehicle.fence.count == 1, "it has warned"
+
+
 async def test_targets_outside_the_fence_are_refused_before_and_after_it_accepts_them() -> None:
     given = {"GF_ACTION": 2.0, "GF_MAX_HOR_DIST": 60.0, "GF_MAX_VER_DIST": 50.0}
     async with px4(parameters=given) as pilot:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -14,6 +15,7 @@ from backends.mavlink.test_equipment import error, estop
 from backends.mavlink.test_gateway import KIND, Pilot, flying
 from rcp_kernel.testing import eventually
 from rcp_kernel.testing._serve import serve_backend
+from rcp_mavlink import restart
 from rcp_mavlink_sim import Options, vehicle_of
 from rcp_mavlink_sim.modes import Mode
 
@@ -52,6 +54,10 @@ async def asked(pilot: Pilot, id_: str, step: str) -> None:
             return
 
 
+def robot(pilot: Pilot) -> Any:
+    return pilot.served.life.backend.robots[""]
+
+
 async def released(pilot: Pilot) -> None:
     flag = pilot.vehicle.calibrations
     await eventually(lambda: _is(not flag.radio), "it is released")
@@ -87,6 +93,29 @@ async def test_they_do_not_while_its_remote_control_is_calibrated(pilot: Pilot) 
     assert vehicle.armed, "they do again afterwards"
 
 
+@pytest.mark.parametrize("end", ["cancel", "link"])
+async def test_it_stays_blocked_until_its_sticks_are_let_go(pilot: Pilot, end: str) -> None:
+    vehicle = pilot.vehicle
+    id_ = await begun(pilot)
+    lower_right(vehicle)
+    if end == "cancel":
+        await pilot.client.request("cancel", CALIBRATE)
+        final = await pilot.client.final(id_, 30.0)
+        assert "refuses to arm until its sticks are let go" in final["message"]
+    else:
+        pilot.twin.muted = True
+        assert error(await pilot.client.final(id_, 30.0)) == "adapter_unavailable"
+        pilot.twin.muted = False
+        await eventually(lambda: _is(not robot(pilot).vehicle.lost), "it is back")
+    until = vehicle.time + 15.0
+    await eventually(lambda: _is(vehicle.time > until), "time has passed")
+    assert vehicle.calibrations.radio
+    assert not vehicle.armed
+    vehicle.sticks.pulses[3] = 1500
+    await released(pilot)
+    assert not vehicle.armed
+
+
 async def test_a_vehicle_that_restarts_meanwhile_is_not_calibrated_on(pilot: Pilot) -> None:
     vehicle = pilot.vehicle
     vehicle.time += 600.0  # it has run for long, so its clock is seen to begin again
@@ -95,6 +124,23 @@ async def test_a_vehicle_that_restarts_meanwhile_is_not_calibrated_on(pilot: Pil
     final = await pilot.client.final(id_, 30.0)
     assert error(final) == "precondition_failed"
     assert "restarted" in final["message"]
+
+
+async def test_a_pause_of_the_link_is_no_restart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(restart, "_PAUSE", 0.6)
+    async with flying({"parameters": {"DISARM_DELAY": 0.0}}, silence=10.0) as pilot:
+        on_the_ground(pilot.vehicle, Mode.STABILIZE)
+        await pilot.ready()
+        id_ = await begun(pilot)
+        seen = robot(pilot).vehicle
+        pilot.twin.muted = True
+        await eventually(lambda: _is(time.monotonic() > seen.last_message_at + 1.0), "it pauses")
+        pilot.vehicle.calibrations.radio = False  # somebody else's calibration has ended it
+        pilot.twin.muted = False
+        flag = pilot.vehicle.calibrations
+        await eventually(lambda: _is(flag.radio), "it is blocked anew")
+        await pilot.client.request("cancel", CALIBRATE)
+        assert (await pilot.client.final(id_, 30.0))["status"] == "cancelled"
 
 
 async def test_a_lost_link_keeps_it_blocked_until_it_is_back(pilot: Pilot) -> None:
@@ -130,10 +176,12 @@ async def test_a_gateway_that_ends_takes_the_block_back() -> None:
 
 async def test_it_does_not_begin_unless_the_vehicle_says_that_it_cannot_be_armed() -> None:
     puppet = Puppet()
+    puppet.params = {"RCMAP_YAW": (4.0, 2)}
     pulses = [1500] * 16 + [65535] * 2
     puppet.also.append(lambda: puppet.send("RC_CHANNELS", puppet.clock, 16, *pulses, 255))
     puppet.results |= {241: lambda _: 0, 401: lambda _: 0}
     async with station(puppet) as found:
+        await found.robot.parameters.complete.wait()
         reply = await found.do("action/calibrate", {"what": "radio"})
         assert error(reply) == "precondition_failed"
         assert "cannot arm it" in reply["message"]

@@ -292,6 +292,23 @@ async def test_a_remote_control_is_calibrated_while_its_sticks_are_moved(pilot: 
     assert params["RC5_MIN"] == 1100, "it was not moved"
 
 
+async def test_one_that_completes_with_a_stick_held_says_that_it_cannot_be_armed(
+    pilot: Pilot,
+) -> None:
+    id_ = await pilot.client.send(type="execute", path=CALIBRATE, body={"what": "radio"})
+    await asked(pilot, id_, "middle")
+    await pilot.do(GO_ON)
+    await asked(pilot, id_, "ends")
+    await moved(pilot, 1, 2, 3, 4)
+    pilot.vehicle.sticks.pulses[3] = 1940
+    await seen(pilot, 4, 1940)
+    await pilot.do(GO_ON)
+    final = await pilot.client.final(id_, 30.0)
+    assert final["status"] == "completed", final
+    assert "refuses to arm until its sticks are let go" in final["body"]["texts"][-1]
+    assert pilot.vehicle.calibrations.radio
+
+
 async def test_a_rover_has_two_sticks_and_its_throttle_rests_in_the_middle() -> None:
     async with flying({"vehicle": "rover"}, silence=10.0) as pilot:
         params = pilot.vehicle.params
@@ -304,6 +321,7 @@ async def test_a_rover_has_two_sticks_and_its_throttle_rests_in_the_middle() -> 
         final = await pilot.client.final(id_, 30.0)
         assert final["status"] == "completed", final
         assert (params["RC3_MIN"], params["RC3_MAX"], params["RC3_TRIM"]) == (1050, 1950, 1500)
+        assert len(final["body"]["texts"]) == 6, "and it can be armed"
 
 
 @pytest.mark.parametrize("why", ["still", "armed", "cancelled"])
