@@ -18,7 +18,7 @@ from msgspec import Meta, Struct
 
 from rcp_can.motor_messages import Seconds
 from rcp_can.procedure import Procedure
-from rcp_can.profiles.vesc_settings import GET_APP, SET_APP, VescSettings
+from rcp_can.profiles.vesc_settings import GET_APP, SET_APP, PacketDrive, VescSettings
 from rcp_kernel.errors import DeviceRejected, RcpError
 from rcp_kernel.spi import Progress
 
@@ -91,24 +91,10 @@ class MotorDetected(Struct, frozen=True, kw_only=True):
     """By `pole_pairs`; set the option of the motor to it."""
 
 
-class _Drive(Protocol):
+class DetectingDrive(PacketDrive, Protocol):
     """A drive that detects its motor."""
 
-    node: int
     pole_pairs: int
-    application: bytes | None
-    """The application's configuration as it is to be, as long as it may be another."""
-
-    async def ask(
-        self,
-        payload: bytes,
-        *,
-        node: int | None = None,
-        seconds: float = 1.0,
-        once: bool = False,
-    ) -> bytes:
-        """Return the answer to a command."""
-        ...
 
     async def detect(self, request: bytes, seconds: float) -> bytes:
         """Return the answer to a detection; however it ends, see that the drive ends it."""
@@ -119,7 +105,7 @@ class _Drive(Protocol):
         ...
 
 
-def detection_procedure(drive: _Drive) -> Sequence[Procedure]:
+def detection_procedure(drive: DetectingDrive) -> Sequence[Procedure]:
     """Return the procedure."""
 
     async def run(wanted: DetectMotor, _progress: Progress) -> MotorDetected:
@@ -155,7 +141,7 @@ def detection_procedure(drive: _Drive) -> Sequence[Procedure]:
     )
 
 
-async def _request(drive: _Drive, power_loss: float) -> bytes:
+async def _request(drive: DetectingDrive, power_loss: float) -> bytes:
     """Return the command. What it would set to the firmware's defaults keeps its present value, if known."""
     limits = await VescSettings(drive).read_all(lambda _part: None)
     least, most = (float(limits[f"l_in_current_{which}"]) for which in ("min", "max"))
@@ -190,7 +176,7 @@ def _outcome(answer: bytes) -> Literal["sensorless", "hall", "encoder"]:
     return _SENSORS[result]
 
 
-async def put_back(drive: _Drive) -> None:
+async def put_back(drive: DetectingDrive) -> None:
     """Restore the application's configuration: a detection changes which status messages are sent.
 
     :raises DeviceRejected: the drive keeps another one.
@@ -207,7 +193,7 @@ async def put_back(drive: _Drive) -> None:
     drive.application = None
 
 
-async def _measured(drive: _Drive) -> dict[str, float]:
+async def _measured(drive: DetectingDrive) -> dict[str, float]:
     motor = await drive.ask(bytes((GET_MOTOR,)))
     if (layout := _layout(motor)) is None:
         return {}

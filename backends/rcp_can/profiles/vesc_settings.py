@@ -20,6 +20,7 @@ __all__ = [
     "SIGNATURES",
     "TOLD",
     "VERSION",
+    "PacketDrive",
     "VescSettings",
     "change_node",
     "read_version",
@@ -51,7 +52,7 @@ TOLD = "si_motor_poles", "si_gear_ratio", "si_wheel_diameter"
 _LAYOUT = struct.Struct(f">B{len(LIMITS)}fBff")
 
 
-class _Drive(Protocol):
+class PacketDrive(Protocol):
     """A drive that answers packets."""
 
     node: int
@@ -76,7 +77,7 @@ class VescSettings(Settings):
     saves = True
     known: Mapping[str, Setting] = LIMITS | dict.fromkeys(TOLD, Setting(writable=False))
 
-    def __init__(self, drive: _Drive) -> None:
+    def __init__(self, drive: PacketDrive) -> None:
         self._drive = drive
 
     async def prepare(self) -> None:
@@ -125,7 +126,7 @@ class VescSettings(Settings):
         await self._drive.ask(head + limits, seconds=_STORES, once=True)
 
 
-async def read_version(drive: _Drive) -> Identity:
+async def read_version(drive: PacketDrive) -> Identity:
     """Ask what a drive is.
 
     :raises DeviceTimeout: it does not answer.
@@ -143,7 +144,7 @@ async def read_version(drive: _Drive) -> Identity:
     )
 
 
-async def change_node(drive: _Drive, wanted: NodeChange, begun: Callable[[], object]) -> None:
+async def change_node(drive: PacketDrive, wanted: NodeChange, begun: Callable[[], object]) -> None:
     """Write the id into the configuration of the application, and read it back.
 
     :raises DeviceRejected: its layout is not known, or the drive keeps another id.
