@@ -45,7 +45,7 @@ from rcp_kernel.spi import (
     StopPlan,
 )
 from rcp_kernel.streams.hub import Hub
-from rcp_kernel.tree.entry import Availability, Entry, StopGroup
+from rcp_kernel.tree.entry import BEFORE, Availability, Entry, StopGroup
 from rcp_kernel.tree.latches import Latch, Latches
 from rcp_kernel.tree.registry import Registry
 
@@ -224,7 +224,7 @@ class BackendSupervisor:
                 self._journal.interrupted.remove(command)
             self._cut_off += cut_off
             self._tell_cut_off()
-            entry.unit.note_lost(entry.path, entry.unit.stops)
+            entry.unit.note_lost(entry.path, BEFORE)
             self._stop_or_recover(entry.unit)
 
     def _tell_cut_off(self) -> None:

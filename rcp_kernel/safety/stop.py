@@ -233,11 +233,13 @@ class StopController:
         stop.attempts += 1
         try:
             self._command(stop)
+            number = stop.unit.stops
             await stop.unit.halt()
         except RcpError as error:
             self._unsent(stop, error)
             raise
-        self._reached(stop)
+        stop.halted = True
+        stop.unit.note_halted(number)
         self._judge(stop)
         if stop.confirmed is None and not stop.released:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
@@ -272,19 +274,15 @@ class StopController:
             for stop in stops:
                 stop.attempts += 1
                 self._command(stop)
+            numbers = [stop.unit.stops for stop in stops]
             await whole.halt()
         except Exception as error:  # whichever robot it was, each is halted alone next
             log.warning("halt_failed", backend=whole.name, error=repr(error))
             return
-        for stop in stops:
-            self._reached(stop)
+        for stop, number in zip(stops, numbers, strict=True):
+            stop.halted = True
+            stop.unit.note_halted(number)
             self._judge(stop)
-
-    def _reached(self, stop: Stop) -> None:
-        """Note that a halt has returned."""
-        stop.halted = True
-        if not stop.released:  # since a reset, other commands may have been lost
-            stop.unit.note_halted()
 
     def _command(self, stop: Stop) -> None:
         if stop.unit.backend is not None and stop.commanded is None:

@@ -28,7 +28,7 @@ from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.samples import Form, Sample, form_of, forms
 from rcp_kernel.values import ValueType, value_type
 
-__all__ = ["Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
+__all__ = ["BEFORE", "Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
 
 Availability = Literal["starting", "ready", "degraded", "down"]
 _BY_SEVERITY = ("ready", "degraded", "starting", "down")
@@ -284,6 +284,10 @@ class Entry:
             self.latest, self.ring, self._heard = old.latest, old.ring, old._heard
 
 
+BEFORE = -1
+"""Number of stops before a command of an earlier gateway began."""
+
+
 class StopGroup:
     """What an e-stop stops as a whole: all robots of a backend, or one that it can halt alone."""
 
@@ -302,6 +306,7 @@ class StopGroup:
         "identity",
         "keys",
         "lost",
+        "lost_began",
         "name",
         "own",
         "own_leases",
@@ -331,8 +336,10 @@ class StopGroup:
         self.lost: str | None = None
         """The path of a command that was lost, with the link or with an earlier gateway, and that the
         robot may still carry out."""
-        self._halted = 0
-        """Number of stops before a halt reached it last."""
+        self.lost_began = BEFORE
+        """Number of stops before that command began."""
+        self._halted = BEFORE
+        """Number of stops before the newest halt that has reached it."""
         self.usable_backend: Backend | None = None
         """The open backend, or None while there is none or this robot is down; set by the owner, as
         every request looks at it. Stops are sent regardless, by `backend`."""
@@ -402,12 +409,14 @@ class StopGroup:
         """
         if began < self._halted:
             return False
-        self.lost = path
+        self.lost, self.lost_began = path, began
         return True
 
-    def note_halted(self) -> None:
-        """Record that a halt has reached it: nothing that was lost is to be settled after a reset."""
-        self._halted, self.lost = self.stops, None
+    def note_halted(self, number: int) -> None:
+        """Record that a halt, sent after so many stops, has reached it: what began before is over."""
+        self._halted = max(self._halted, number)
+        if self.lost_began < self._halted:
+            self.lost = None
 
     @property
     def released(self) -> int:

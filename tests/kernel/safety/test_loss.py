@@ -12,7 +12,7 @@ import pytest
 from kernel.safety.scripted import ADMIN, DRIVE, FAST, GO, Scripted, estop, scripted, scripted_world
 from kernel.world import BOUND, Client, World, settled
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.spi import Progress
+from rcp_kernel.spi import Host, Progress
 
 pytestmark = pytest.mark.anyio
 
@@ -211,3 +211,31 @@ async def test_a_cancel_that_does_not_reach_the_robot_is_not_called_cancelled() 
         final = await admin.final(go)
         assert (final["status"], final["error"]["code"]) == ("failed", "adapter_unavailable")
         assert final["error"]["details"]["on_loss"] == "land"
+
+
+class Late(Scripted):
+    """Answers a halt when it is told to."""
+
+    async def halt(self) -> None:
+        self.halting.set()
+        await self.answers.wait()
+
+    def __init__(self, host: Host) -> None:
+        super().__init__(host)
+        self.halting, self.answers = asyncio.Event(), asyncio.Event()
+
+
+async def test_a_halt_that_is_answered_after_the_reset_ends_what_was_lost() -> None:
+    async with scripted_world(make=Late) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        assert isinstance(robot, Late)
+        unit = world.server.kernel.registry.entries[GO].unit
+        assert unit.note_lost(GO, 0)  # and the link is back, and the recovery not begun
+        stopped = admin.send(type="execute", path="/system/estop", body={})
+        async with asyncio.timeout(BOUND):
+            await robot.halting.wait()
+        assert (await estop(admin, reset=True))["status"] == "completed"
+        assert unit.lost == GO
+        robot.answers.set()
+        await admin.final(stopped)
+        assert unit.lost is None
