@@ -147,7 +147,8 @@ class Work:
 
     def pause(self, fault: Fault | None = None) -> None:
         """Stop driving and begin nothing, until told to go on."""
-        if fault is not None:
+        held = self.halted is not None and self.halted.kind == "not_enabled"
+        if fault is not None and not held:  # whatever else stops it, its zones are still not known
             self.halted = fault
         self._resumed.clear()
         if self._drive is not None:

@@ -58,6 +58,11 @@ async def test_an_order_is_held_where_its_zone_set_or_map_cannot_be_enabled(tmp_
         await held(it, "a1", "n1")
         assert listed(it.master.last("r1")) == [("old", "ENABLED")]
         assert len(await drives(it)) == 1
+        await it.estop()
+        await it.master.until("r1", lambda s: s["safetyState"]["activeEmergencyStop"] != "NONE")
+        await it.estop(reset=True)
+        await it.master.until("r1", lambda s: s["safetyState"]["activeEmergencyStop"] == "NONE")
+        assert "NOT_ENABLED" in kinds(it.master.last("r1"))  # its hint counts, not that of the stop
         await it.master.send("r1", "zoneSet", **zone_set("new", NEW))
         await it.master.instant("r1", "enableZoneSet", zoneSetId="new")
         await it.master.until("r1", lambda s: ("new", "ENABLED") in listed(s))
