@@ -40,7 +40,7 @@ from rcp_kernel.errors import (
     RcpError,
     Unauthenticated,
 )
-from rcp_kernel.features.services import ServiceKey, ServiceLookup
+from rcp_kernel.features.services import FeatureServices, ServiceKey
 from rcp_kernel.model import NativeType, Pattern
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.discovery import Discovery, Query
@@ -133,7 +133,7 @@ class ClientApiParts:
     outbound: Outbound
     discovery: Discovery
     access: CommandAccess
-    features: ServiceLookup
+    services: FeatureServices
     replies: ReplyGate
     events: RequestEvents
     counts: RequestCounts
@@ -404,7 +404,7 @@ class ClientApi:
 
     def service(self, key: ServiceKey[T]) -> T | None:
         """Return a feature's service by its key; None if no feature provides it."""
-        return self._parts.features.service(key)
+        return self._parts.services.service(key)
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Call `answer` with each further reply of a command; return a function that ends this."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 from prometheus_client.core import Metric
@@ -34,8 +34,6 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 
 __all__ = ["ActiveFeature", "Features", "active", "make"]
-
-T = TypeVar("T")
 
 
 class ActiveFeature(msgspec.Struct, frozen=True):
@@ -174,9 +172,10 @@ class Features:
                 except Exception as error:
                     self._health[name].failed("metrics", error)
 
-    def service(self, key: ServiceKey[T]) -> T | None:
-        """Return a service that one of them offers."""
-        return next((f.services[key] for _, f in self._made if key in f.services), None)
+    @property
+    def services(self) -> list[Mapping[ServiceKey[Any], Any]]:
+        """The services of each, by key."""
+        return [feature.services for _, feature in self._made]
 
     def dry_run(self, call: Call) -> dict[str, Any]:
         """Return the items for a dry run."""

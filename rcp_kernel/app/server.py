@@ -11,7 +11,6 @@ import msgspec
 import structlog
 
 from rcp_kernel.access.identities import check_proofs, store_file
-from rcp_kernel.app.composition import compose
 from rcp_kernel.app.features import ActiveFeature, active
 from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
@@ -139,7 +138,7 @@ async def running(
         if path is not None:
             store = DiskStore(path, loop)
             stack.callback(store.close)
-        kernel = compose(
+        kernel = Kernel(
             config,
             loop,
             store=store,

@@ -12,7 +12,7 @@ from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.contract.digest import bounded, hashing
 from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.frames import FrameConverter
-from rcp_kernel.features.services import ServiceKey, ServiceLookup
+from rcp_kernel.features.services import FeatureServices, ServiceKey
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.admission import Resolver
 from rcp_kernel.requests.atomic_write import check_group
@@ -49,7 +49,7 @@ class GatewayActionHost:
         journal: CommandJournal,
         conditions: Conditions,
         registry: Registry,
-        services: ServiceLookup,
+        services: FeatureServices,
         personal: tuple[Container[str], ...],
         events: RequestEvents,
         turns: Turns,

@@ -12,7 +12,7 @@ from docs.pages import DOCS, keys, rows, section
 from kernel.world import features_of
 from rcp_approvals import ApprovalRequest
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.app.composition import compose
+from rcp_kernel.app.kernel import Kernel
 from rcp_kernel.app.log import Recent
 from rcp_kernel.app.system import EstopRequest
 from rcp_kernel.clock import SYSTEM_CLOCK
@@ -99,7 +99,7 @@ async def test_the_system_branch_and_the_metrics_are_told() -> None:
     loop = asyncio.get_running_loop()
     config = GatewayConfig()
     features = features_of(config)
-    kernel = compose(
+    kernel = Kernel(
         config, loop, store=Store(), recent=Recent(), clock=SYSTEM_CLOCK, features=features
     )
     documented = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}
