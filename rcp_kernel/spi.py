@@ -386,57 +386,72 @@ class Host(Protocol):
         ...
 
 
-@runtime_checkable
-class Backend(Protocol):
+class Backend:
     """A robot, as the kernel sees it. Every name is one the backend declared itself.
+
+    A plugin derives from it, under its name `BaseBackend`, and overrides what its robot has: the
+    methods here refuse, or do what is right for a robot that lacks the function.
 
     All coroutines run on the event loop and may be cancelled at any await: deadlines and clients'
     cancels arrive as cancellation. Arguments already match the declared types. Exceptions should be
     `RcpError`s; any other becomes `internal`.
     """
 
+    on_loss: str = "hold"
+    """Policy for a robot whose command was lost with its link: `hold`, `continue`, `land`,
+    `return`. Included in the command's error; `recover` applies it."""
+
+    has_gateways: bool = False
+    """Whether each of its robots has a gateway of its own, as in a fleet.
+
+    Then commands and stops are the robots' own: closing this gateway neither halts them nor cancels
+    their commands. A robot that is down does not end its commands here: `execute` waits for it, up to
+    their deadline. A command that an earlier run of the gateway began, or an earlier opening of the
+    backend, is passed to `execute` again with the same `caller().key`, under which the robot's
+    gateway answers with what it knows of it. No dead-man is armed here: pass `caller().valid_for` on."""
+
     async def read(self, name: str) -> Any:
         """Return the current value, or a `Publication` of it with its source time.
 
-        Called only if no fresh sample is available.
+        Called only if no fresh sample is available. By default, only published values exist.
 
         :raises AdapterUnavailable: the link is down.
         :raises DeviceTimeout: the robot did not respond.
         :raises UnsupportedOperation: the value cannot be requested, only subscribed to; the kernel
             then waits for the first sample.
         """
-        ...
-
-    def frames_of(self, name: str) -> Sequence[str]:
-        """Return the frames of a resource, as the robot's own gateway listed them: no I/O.
-
-        Asked only of a backend that `has_gateways`.
-        """
-        ...
-
-    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
-        """Have the robot's own gateway send a resource's values in a frame; return the end function.
-
-        Asked only of a backend that `has_gateways`. It goes on over cuts, and waits for a robot that is
-        not there yet, until it is ended; `missing` is told why nothing comes.
-        """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be read")
 
     async def read_in_frame(self, name: str, frame: str) -> Any:
         """Return the current value in a frame, as the robot's own gateway converts it: `Encoded`.
 
-        Asked only of a backend that `has_gateways`.
+        Called only on a backend that `has_gateways`.
 
-        :raises FilterUnsupported, InvalidValue, PreconditionFailed: that gateway says so.
+        :raises FilterUnsupported, InvalidValue, PreconditionFailed: that gateway refuses it.
         """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be read in a frame")
+
+    def frames_of(self, name: str) -> Sequence[str]:
+        """Return the frames of a resource, as the robot's own gateway listed them: no I/O.
+
+        Called only on a backend that `has_gateways`.
+        """
+        return ()
+
+    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
+        """Have the robot's own gateway send a resource's values in a frame; return the end function.
+
+        Called only on a backend that `has_gateways`. It goes on over interruptions, and waits for a
+        robot that is not there yet, until it is ended; `missing` gets the reason why nothing comes.
+        """
+        raise UnsupportedOperation(f"'{name}' cannot be subscribed to in a frame")
 
     async def write(self, name: str, value: Any) -> Any:
         """Bring a value into force; return the value now in force, or None if it is `value`.
 
         :raises DeviceRejected: the robot refused, with its reason.
         """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be written")
 
     async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Bring several values into force at the same moment, or none of them.
@@ -449,7 +464,7 @@ class Backend(Protocol):
 
         :raises DeviceRejected: the robot refused, and none of them is in force.
         """
-        ...
+        raise UnsupportedOperation("the backend cannot write several values as one")
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service to its end and return its result.
@@ -459,7 +474,7 @@ class Backend(Protocol):
 
         :raises DeviceRejected: the robot refused or aborted.
         """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be executed")
 
     def foresee(self, name: str, value: Any) -> None:
         """Refuse a dry run of what `execute` would refuse now, as far as the backend knows.
@@ -468,29 +483,15 @@ class Backend(Protocol):
 
         :raises RcpError: as `execute` would.
         """
-        ...
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Keep `name` published while entered; `rate` is the highest requested rate, in Hz.
 
         Entered at the first subscriber and left after the last. When the requested rate changes,
         the new context is entered before the old one is left. None: as fast as the source provides.
+        By default, everything is published without subscribers.
         """
-        ...
-
-    on_loss: str
-    """Policy for a robot whose command was lost with its link: `hold`, `continue`, `land`,
-    `return`.
-    Included in the command's error; `recover` applies it."""
-
-    has_gateways: bool
-    """Whether each of its robots has a gateway of its own, as in a fleet.
-
-    Then commands and stops are the robots' own: closing this gateway neither halts them nor cancels
-    their commands. A robot that is down does not end its commands here: `execute` waits for it, up to
-    their deadline. A command that an earlier run of the gateway began, or an earlier opening of the
-    backend, is passed to `execute` again with the same `caller().key`, under which the robot's
-    gateway answers with what it knows of it. No dead-man is armed here: pass `caller().valid_for` on."""
+        return nullcontext()
 
     async def halt(self) -> None:
         """Bring everything that moves to rest at once, by the strongest effective means.
@@ -498,158 +499,81 @@ class Backend(Protocol):
         Return when it is *measured* to be at rest; a robot that cannot be reached is an error,
         never a success. Called by the e-stop until the robot is confirmed at rest, and before the
         backend closes until one call returns; also while an earlier call is still waiting, whose
-        commands may have been lost.
+        commands may have been lost. By default, nothing moves.
 
         :raises AdapterUnavailable: a robot cannot be reached.
         :raises DeviceTimeout: it was commanded to stop and does not come to rest.
         """
-        ...
 
     async def halt_robot(self, robot: str) -> None:
-        """Bring one of several robots to rest, as `halt` does all: see `Resource.robot`."""
-        ...
+        """Bring one of several robots to rest, as `halt` does all (the default): see `Resource.robot`."""
+        await self.halt()
 
     def motion(self, robot: str | None) -> MotionState | None:
         """Report whether a robot (None: all of the backend) is at rest, by measurement.
 
-        Asked often while an e-stop is latched: no I/O. None: this backend measures nothing, and a
+        Called often while an e-stop is latched: no I/O. None: this backend measures nothing, and a
         `halt` that returned is all that can be known.
         """
-        ...
+        return None
 
     def hold_stop(self, robot: str | None) -> None:
         """Send again, without waiting, what keeps a robot (None: all) stopped.
 
         Called ten times a second while an e-stop is latched, also before the first confirmation
-        and at once when the link returns.
+        and at once when the link returns. By default, a robot at rest stays there.
         """
-        ...
 
     async def hold(self, robot: str | None) -> None:
         """Bring a robot (None: all) to rest without an e-stop: brake, hover, keep the position.
 
-        The verb `service/hold` that every robot has; return when it is measured to be at rest.
+        The verb `service/hold` that every robot has; return when it is measured to be at rest. By
+        default, it stops as for the e-stop.
         """
-        ...
+        await (self.halt() if robot is None else self.halt_robot(robot))
 
     async def recover(self, robot: str | None) -> str:
         """Apply `on_loss` after the link has returned; return what was done.
 
         Called once for a robot whose command ended with its link, or with an earlier gateway.
         """
-        ...
-
-    async def reset_estop(self, robot: str | None) -> None:
-        """Ask a robot's own gateway (None: all) to reset its e-stop; see `has_gateways`.
-
-        Called after an e-stop was reset here, for who `caller()` tells. A robot whose gateway refuses,
-        or cannot be reached, is latched here again.
-
-        :raises RcpError: it refuses.
-        """
-        ...
-
-    async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
-        """Ask a robot's own gateway for a lease, for who `caller()` tells; see `has_gateways`.
-
-        Return the lease as it is after the request.
-
-        :raises LeaseHeld, LeaseLost, LeaseRequired: its gateway says so.
-        :raises RcpError: it refuses, or cannot be reached.
-        """
-        ...
-
-    def watchdogs(self) -> Sequence[Watchdog]:
-        """List what stops the robots when the gateway falls silent, as verified on the device."""
-        ...
-
-    def robot_link(self, robot: str) -> RobotLink | None:
-        """Report what the link with a robot's own gateway carries, if it was ever there.
-
-        Asked only of a backend that `has_gateways`, for each robot at each scrape of `/metrics`: no
-        I/O.
-        """
-        ...
-
-
-class BaseBackend:
-    """A backend that refuses everything: a subclass writes only what its robot has."""
-
-    on_loss: str = "hold"
-    has_gateways: bool = False
-
-    async def read(self, name: str) -> Any:
-        """Refuse: only published values are available."""
-        raise UnsupportedOperation(f"'{name}' cannot be read")
-
-    async def read_in_frame(self, name: str, frame: str) -> Any:
-        """Refuse: no robot has a gateway of its own."""
-        raise UnsupportedOperation(f"'{name}' cannot be read in a frame")
-
-    def frames_of(self, name: str) -> Sequence[str]:
-        """List none: no robot has a gateway of its own."""
-        return ()
-
-    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
-        """Refuse: no robot has a gateway of its own."""
-        raise UnsupportedOperation(f"'{name}' cannot be subscribed to in a frame")
-
-    async def write(self, name: str, value: Any) -> Any:
-        """Refuse."""
-        raise UnsupportedOperation(f"'{name}' cannot be written")
-
-    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Refuse: nothing is declared as a group."""
-        raise UnsupportedOperation("the backend cannot write several values as one")
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Refuse."""
-        raise UnsupportedOperation(f"'{name}' cannot be executed")
-
-    def foresee(self, name: str, value: Any) -> None:
-        """Accept: only the robot knows."""
-
-    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Do nothing: everything is published without subscribers."""
-        return nullcontext()
-
-    async def halt(self) -> None:
-        """Do nothing: a robot without moving parts is at rest."""
-
-    async def halt_robot(self, robot: str) -> None:
-        """Halt all: nothing says how one is halted alone."""
-        await self.halt()
-
-    def motion(self, robot: str | None) -> MotionState | None:
-        """Measure nothing."""
-        return None
-
-    def hold_stop(self, robot: str | None) -> None:
-        """Do nothing: a robot at rest stays there."""
-
-    async def hold(self, robot: str | None) -> None:
-        """Stop as for the e-stop."""
-        await (self.halt() if robot is None else self.halt_robot(robot))
-
-    async def recover(self, robot: str | None) -> str:
-        """Hold."""
         await self.hold(robot)
         return "held"
 
     async def reset_estop(self, robot: str | None) -> None:
-        """Do nothing: no robot has a latch of its own."""
+        """Ask a robot's own gateway (None: all) to reset its e-stop; see `has_gateways`.
+
+        Called after an e-stop was reset here, by the principal of `caller()`. A robot whose gateway
+        refuses, or cannot be reached, is latched here again.
+
+        :raises RcpError: it refuses.
+        """
 
     async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
-        """Refuse: no robot has leases of its own."""
+        """Ask a robot's own gateway for a lease, for the principal of `caller()`; see `has_gateways`.
+
+        Return the lease as it is after the request.
+
+        :raises LeaseHeld, LeaseLost, LeaseRequired: its gateway reports this.
+        :raises RcpError: it refuses, or cannot be reached.
+        """
         raise UnsupportedOperation(f"'{robot}' has no gateway of its own")
 
     def watchdogs(self) -> Sequence[Watchdog]:
-        """List none."""
+        """List what stops the robots when the gateway falls silent, as verified on the device."""
         return ()
 
     def robot_link(self, robot: str) -> RobotLink | None:
-        """Report none."""
+        """Report what the link with a robot's own gateway carries, if there ever was one.
+
+        Called only on a backend that `has_gateways`, for each robot at each scrape of `/metrics`: no
+        I/O.
+        """
         return None
+
+
+BaseBackend = Backend
+"""The name under which plugins derive from it."""
 
 
 def has_watch(backend: Backend) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
 from rcp_kernel.access.acl import Rights
@@ -60,7 +60,6 @@ class FeatureHost:
         self._health = health
         self._store = store
         self._events = events
-        self._changes = changes
         self._services = services
         self._settings = settings
         self._shutdown = shutdown
@@ -79,6 +78,10 @@ class FeatureHost:
         """Which parts of the tree and which robots a principal may see."""
         self.ledger = Ledger(store)
         """The tamper-evident log in the gateway's store."""
+        self.changed: Callable[[str], None] = changes.tell
+        """Notifies subscribers that the view at a path of the feature's may have changed."""
+        self.publish: Callable[[str, Any], None] = changes.tell
+        """Publishes a sample at a path of the feature's; `SystemResource.shows` filters it."""
         self.loop = loop
         """The event loop, with the gateway's monotonic time; running whenever the feature is."""
         self.clock = clock
@@ -111,14 +114,6 @@ class FeatureHost:
         `work` must yield after at most a millisecond.
         """
         self._turns.oblige(self, work)
-
-    def changed(self, path: str) -> None:
-        """Notify subscribers that a view of the feature may have changed."""
-        self._changes.tell(path)
-
-    def publish(self, path: str, value: Any) -> None:
-        """Publish a sample of one of the feature's resources; `SystemResource.shows` filters it."""
-        self._changes.tell(path, value)
 
     def note(
         self,
