@@ -19,7 +19,7 @@ from collections.abc import (
 )
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
@@ -60,7 +60,7 @@ from rcp_scheduling.turns import Turns
 from rcp_store.plugin_store import PluginStore
 from rcp_store.store import Store
 
-__all__ = ["ClientApi", "ClientApiParts", "Mount", "Proofs", "StatusView"]
+__all__ = ["ClientApi", "ClientApiParts", "Mount", "Proofs"]
 
 T = TypeVar("T")
 
@@ -106,18 +106,6 @@ class Proofs(msgspec.Struct, frozen=True, kw_only=True):
     """Issuers of tokens that describe themselves by OpenID Connect Discovery."""
 
 
-class StatusView(Protocol):
-    """The gateway's health report."""
-
-    def ready(self) -> tuple[bool, dict[str, str]]:
-        """Tell whether every backend is ready, and each one's state."""
-        ...
-
-    def absent_adapters(self) -> dict[str, str]:
-        """Return the adapters that are installed and do not run, each with the reason and remedy."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientApiParts:
     """The parts behind the API, shared by all transports and adapters."""
@@ -139,7 +127,8 @@ class ClientApiParts:
     counts: RequestCounts
     store: Store
     is_stop: Callable[[Session, Request], bool]
-    status: StatusView
+    ready: Callable[[], tuple[bool, dict[str, str]]]
+    absent_adapters: Callable[[], dict[str, str]]
     exposition: Callable[[Rights], Generator[None, None, bytes]]
     """Writes the Prometheus exposition for a principal, in steps."""
     turns: Turns
@@ -488,11 +477,11 @@ class ClientApi:
 
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Tell whether every backend is ready, and each one's state."""
-        return self._parts.status.ready()
+        return self._parts.ready()
 
     def absent_adapters(self) -> dict[str, str]:
         """Return the adapters that are installed and do not run, each with the reason and remedy."""
-        return self._parts.status.absent_adapters()
+        return self._parts.absent_adapters()
 
     def metrics(self, session: Session) -> Generator[None, None, bytes]:
         """Write the Prometheus exposition in steps, without the paths hidden from a session."""

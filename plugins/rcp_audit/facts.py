@@ -11,8 +11,8 @@ import msgspec
 from rcp_kernel.contract.digest import LONGEST, bounded, hashed
 from rcp_kernel.contract.events import Event
 from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.touches import EVERYTHING
+from rcp_kernel.contract.paths import EVERYTHING
+from rcp_kernel.contract.requests import Prepared
 from rcp_kernel.features.approval import ID
 from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.command import Command, Record

@@ -16,7 +16,7 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
-from rcp_kernel.contract.touches import EVERYTHING, MOST_TOUCHES
+from rcp_kernel.contract.paths import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
 from rcp_kernel.values import Encoding, dump
 

@@ -9,21 +9,16 @@ from __future__ import annotations
 
 from rcp_conditions.fields import Field
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.certificates import (
-    read_certificate,
-    read_pem,
-    require_certificates,
-    revoked_by,
-)
+from rcp_kernel.access.certificates import require_certificates
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
-from rcp_kernel.config.roles import check_pattern
+from rcp_kernel.config.role import check_pattern
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.internal_errors import to_internal_error
+from rcp_kernel.contract.paths import EVERYTHING as TOUCHES_EVERYTHING
 from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
-from rcp_kernel.contract.peer import Peer, Serial
-from rcp_kernel.contract.queued_request import QueuedRequest
-from rcp_kernel.contract.touches import EVERYTHING as TOUCHES_EVERYTHING
+from rcp_kernel.contract.peer import Certificate, Peer, Serial
+from rcp_kernel.contract.requests import QueuedRequest
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.requests.discovery import Query
 from rcp_kernel.sessions.command import Command
@@ -34,7 +29,7 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.substitutes import left_out
 from rcp_kernel.streams.outbound import SHARE as BACKLOG_SHARE
 from rcp_kernel.streams.outbound import Backlog, Outbound
-from rcp_kernel.streams.outbox import Outbox, Wrap
+from rcp_kernel.streams.outbox import Wrap
 from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_protocol.structure import LONG as LONG_MESSAGE
 from rcp_protocol.structure import check_structure
@@ -49,13 +44,13 @@ __all__ = [
     "TOUCHES_EVERYTHING",
     "UNKNOWN_PEER",
     "Backlog",
+    "Certificate",
     "Command",
     "Connection",
     "Field",
     "GatewayConfig",
     "Hello",
     "Outbound",
-    "Outbox",
     "Peer",
     "PluginStore",
     "Principal",
@@ -77,9 +72,6 @@ __all__ = [
     "left_out",
     "names_in",
     "others_may",
-    "read_certificate",
-    "read_pem",
     "require_certificates",
-    "revoked_by",
     "to_internal_error",
 ]

@@ -75,7 +75,9 @@ class Core:
         self.events = CommandEvents()
         self.services = FeatureServices()
         self._make_tree()
-        self.conditions = Conditions(self.hub, clock)
+        self.conditions = Conditions(
+            self.registry, clock, sustain=self.hub.sustain, is_published=self.hub.demand.holds
+        )
         self.rules = Rules(config.roles, self.conditions, grants)
         self.identities = Identities(self.settings, loop, clock)
         self._make_records()

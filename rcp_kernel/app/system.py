@@ -23,7 +23,7 @@ from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopStat
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.spi import Backend, BaseBackend, Progress
+from rcp_kernel.spi import Backend, BaseBackend
 from rcp_kernel.tree.entry import Availability, Entry, StopGroup
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
@@ -277,10 +277,6 @@ class System(BaseBackend):
 
     def _list_commands(self, session: Session) -> Iterator[Body | None]:
         return (command and command.listed for command in self._access.judged(session))
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Never called: these resources are executed before."""
-        raise UnknownPath(f"{name} cannot be executed")
 
 
 def _resources() -> list[Resource]:

@@ -26,8 +26,7 @@ from rcp_kernel.config.identity import (
     check_identity,
 )
 from rcp_kernel.config.limits import Limits
-from rcp_kernel.config.role import BUILTIN_ROLES, Role
-from rcp_kernel.config.roles import check_roles
+from rcp_kernel.config.role import BUILTIN_ROLES, Role, check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation

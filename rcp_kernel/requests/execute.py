@@ -15,8 +15,7 @@ import msgspec
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
-from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.queued_request import QueuedRequest
+from rcp_kernel.contract.requests import Prepared, QueuedRequest
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.features.frames import FrameConverter

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.contract.digest import hashing
-from rcp_kernel.contract.prepared import Prepared
+from rcp_kernel.contract.requests import Prepared
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
 from rcp_kernel.requests.admission import Resolver

@@ -9,7 +9,7 @@ from typing import Any
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.internal_errors import attribute_error
-from rcp_kernel.contract.prepared import Prepared
+from rcp_kernel.contract.requests import Prepared
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents

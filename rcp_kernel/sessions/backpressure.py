@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection, Container
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Relief:
                 if size:
                     held.append((size, session))
         total = sum(size for size, _ in held)
-        for size, session in sorted(held, key=_by_size, reverse=True):
+        for size, session in sorted(held, key=itemgetter(0), reverse=True):
             if size <= self._outbound.each and total <= self._outbound.limit:
                 return
             total -= size
@@ -95,7 +96,3 @@ class Relief:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-
-
-def _by_size(item: tuple[int, Session]) -> int:
-    return item[0]

@@ -99,9 +99,7 @@ class Hub:
 
     def pause(self, feed: PathSubscription) -> None:
         """Pause sending for a path; its queued samples are dropped."""
-        self.release(feed)
-        self.unlink(feed)
-        feed.leave()
+        self.let_go(feed)
         feed.outbox = feed.subscription.outbox
         feed.paused = True
 
@@ -121,22 +119,32 @@ class Hub:
 
     def retain(self, feed: PathSubscription) -> None:
         """Keep the history of a feed's path while its client is disconnected."""
-        if not feed.kept:
-            feed.kept = True
-            self._keep(feed)
+        if feed.kept:
+            return
+        feed.kept = True
+        if isinstance(feed, RemoteFramedPathSubscription):  # there is no history of other frames
+            return
+        entry, absent = feed.entry, absent_listener(feed.entry)
+        if absent is None:
+            absent = AbsentListener()
+            entry.listeners.append(absent)
+            if len(entry.listeners) == 1:
+                entry.size_ring()
+        absent.add(feed.subscription.options.rate)
+        self.demand.retune(entry)
 
     def release(self, feed: PathSubscription) -> None:
         """Stop keeping the history for a feed."""
-        if feed.kept:
-            feed.kept = False
-            self._unkeep(feed)
-
-    def _keep(self, feed: PathSubscription) -> None:
-        """Keep the history of a path for a disconnected client; there is none of other frames."""
-        if isinstance(feed, RemoteFramedPathSubscription):
+        if not feed.kept:
             return
-        _keep_history(feed.entry, feed.subscription.options.rate)
-        self.demand.retune(feed.entry)
+        feed.kept = False
+        entry, absent = feed.entry, absent_listener(feed.entry)
+        if isinstance(feed, RemoteFramedPathSubscription) or absent is None:
+            return
+        if absent.discard(feed.subscription.options.rate):
+            if not absent:
+                entry.listeners.remove(absent)
+            self._left(entry)
 
     def relink(self, feed: PathSubscription) -> None:
         """Offer samples to a feed again."""
@@ -200,20 +208,8 @@ class Hub:
 
     def drop(self, feed: PathSubscription) -> None:
         """Remove one path from a subscription."""
-        subscription = feed.subscription
-        del subscription.feeds[feed.entry.path]
-        self.release(feed)
-        self.unlink(feed)
-        feed.leave()
-
-    def _unkeep(self, feed: PathSubscription) -> None:
-        entry, absent = feed.entry, absent_listener(feed.entry)
-        if isinstance(feed, RemoteFramedPathSubscription):
-            return
-        if absent is not None and absent.discard(feed.subscription.options.rate):
-            if not absent:
-                entry.listeners.remove(absent)
-            self._left(entry)
+        del feed.subscription.feeds[feed.entry.path]
+        self.let_go(feed)
 
     def sustain(self, entry: Entry, rate: float) -> None:
         """Keep an entry published at `rate` Hz at least, regardless of subscribers; 0.0 ends this."""
@@ -262,14 +258,3 @@ class Hub:
         self._timers.close()
         self.deadline_monitor.close()
         await self.demand.close()
-
-
-def _keep_history(entry: Entry, rate: float | None) -> None:
-    """Keep an entry's history for a client that needs `rate` from its source."""
-    absent = absent_listener(entry)
-    if absent is None:
-        absent = AbsentListener()
-        entry.listeners.append(absent)
-        if len(entry.listeners) == 1:
-            entry.size_ring()
-    absent.add(rate)

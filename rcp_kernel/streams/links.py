@@ -6,14 +6,14 @@ it, and the tree may change: each step uses the current state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterator
 
 from rcp_kernel.streams.feeds import new_path_subscription
 from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.notices import notice
+from rcp_kernel.streams.options import seconds
 from rcp_kernel.streams.outbox import Outbox
-from rcp_kernel.streams.past import admitted, past
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry
@@ -23,6 +23,7 @@ from rcp_scheduling.turns import Turns, Work
 __all__ = ["SubscriptionLinker"]
 
 _STEP = 32  # paths linked or unlinked per step
+_FILTERED = 16  # samples per step: filters and access rules take time for each of up to a thousand
 _STREAMS = "streams"  # key, with an owner, of the work on its subscriptions
 _LONGEST = 86_400.0 * 365  # s: maximum of a timer
 
@@ -92,7 +93,7 @@ class SubscriptionLinker:
         history, last = subscription.options.history, subscription.awaited[path]
         samples: list[Sample] = []
         if history:
-            samples = yield from admitted(feed, past(feed, history, last))
+            samples = yield from _admitted(feed, _past(feed, history, last))
             if path not in subscription.awaited:
                 return
             if self._hub.registry.entries.get(path) is not entry:  # replaced or removed
@@ -207,7 +208,7 @@ class SubscriptionLinker:
                 message=f"{lost} samples of {feed.entry.path} are no longer in the replay buffer",
             )
         outbox = feed.outbox
-        samples = yield from admitted(feed, [sample for sample in ring if sample.seq > known])
+        samples = yield from _admitted(feed, [sample for sample in ring if sample.seq > known])
         if feed.outbox is outbox:
             feed.replay(samples)
 
@@ -229,3 +230,29 @@ class SubscriptionLinker:
             ended()
 
         self.begin(subscription, work())
+
+
+def _past(feed: PathSubscription, history: int | str, last: int) -> list[Sample]:
+    """Return the samples that `history` selects, oldest first, and all after number `last`."""
+    ring = list(feed.entry.ring)
+    if isinstance(history, int):
+        newer = sum(sample.seq > last for sample in ring)
+        return ring[-history - newer :] if history + newer else []
+    since = feed.entry.clock.now() - int(seconds(history) * 1e9)
+    return [sample for sample in ring if sample.received >= since or sample.seq > last]
+
+
+def _admitted(feed: PathSubscription, samples: list[Sample]) -> Generator[None, None, list[Sample]]:
+    """Return those of `samples`, and of samples published meanwhile, that pass a feed's filters."""
+    if not feed.judges:
+        return samples
+    passed: list[Sample] = []
+    while samples:
+        for number, sample in enumerate(samples, 1):
+            if (admitted := feed.admit(sample)) is not None:
+                passed.append(admitted)
+            if not number % _FILTERED:
+                yield
+        last = samples[-1].seq
+        samples = [sample for sample in feed.entry.ring if sample.seq > last]
+    return passed
