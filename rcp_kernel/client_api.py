@@ -89,15 +89,14 @@ class Mount(msgspec.Struct, frozen=True, kw_only=True):
     """Parameters of the URL that may contain a secret, which is refused otherwise."""
     openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
     """Returns `paths` and `components` of the OpenAPI document for what a session sees of this
-    mount;
-    parts may be encoded already (`msgspec.Raw`). Long work waits for `turns`."""
+    mount; parts may be encoded already (`msgspec.Raw`). Long work waits for `turns`."""
 
 
 class Proofs(msgspec.Struct, frozen=True, kw_only=True):
-    """By what clients may prove who they are, for what describes the gateway to them."""
+    """The ways in which clients may authenticate, for descriptions of the gateway."""
 
     anonymous: bool
-    """Whether something is there for those who prove nothing."""
+    """Whether anonymous clients may do anything."""
     bearer: bool
     """Keys, or tokens of any kind, in `Authorization: Bearer`."""
     certificates: bool
@@ -143,11 +142,11 @@ class ClientApi:
         self._handle = parts.connections.handle
         self._read_at_once = parts.connections.at_once["read"]
         self.name = name
-        """The transport's word in sessions, counts and metrics."""
+        """The transport's name in sessions, counts and metrics."""
         self.mounts = mounts
 
     def renamed(self, name: str) -> ClientApi:
-        """Return the same client_api under another transport's name; mounts are shared."""
+        """Return the same API under another transport's name; mounts are shared."""
         return ClientApi(self._parts, name, self.mounts)
 
     @property
@@ -162,7 +161,7 @@ class ClientApi:
 
     @property
     def turns(self) -> Turns:
-        """Who may use the loop when; work for a principal is owned by its `identity`."""
+        """Turns of the event loop; work for a principal is owned by its `identity`."""
         return self._parts.turns
 
     def generation(self, session: Session) -> int:
@@ -171,7 +170,7 @@ class ClientApi:
 
     @property
     def secure(self) -> bool:
-        """Whether strangers may do nothing: they have no role, or one that allows nothing."""
+        """Whether anonymous clients may do nothing: they have no role, or one that allows nothing."""
         return self._parts.settings.config.closed
 
     @property
@@ -191,7 +190,7 @@ class ClientApi:
 
     @property
     def proofs(self) -> Proofs:
-        """By what clients may prove who they are."""
+        """The ways in which clients may authenticate."""
         config, identities = self._parts.settings.config, self._parts.identities
         return Proofs(
             anonymous=not config.closed,
@@ -201,12 +200,12 @@ class ClientApi:
         )
 
     def shelf(self, table: str) -> PluginStore:
-        """Return a table of the caller's own in the gateway's store."""
+        """Return one of the plugin's own tables in the gateway's store."""
         return PluginStore(self._parts.store, f"{self.name}.{table}")
 
     @property
     def issuers(self) -> list[str]:
-        """Who gives out tokens that this gateway takes, for clients that look for one."""
+        """URLs of the issuers whose tokens this gateway accepts."""
         return [one.url for one in self._parts.identities.issuers]
 
     def mount(self, mount: Mount) -> None:
@@ -352,9 +351,9 @@ class ClientApi:
         return self._parts.identities.longest(principal)
 
     def check_pace(self, session: Session) -> None:
-        """Refuse a long request before its body is read, where it would be one too many.
+        """Refuse a long request before its body is read, if the rate limit is reached.
 
-        :raises RateLimited: it would be one too many now.
+        :raises RateLimited: the limit is reached.
         """
         session.check_pace()
 
@@ -378,7 +377,7 @@ class ClientApi:
         """Return a command that the session may see.
 
         :raises UnknownPath: there is none.
-        :raises RateLimited: it is one too many now.
+        :raises RateLimited: the limit is exceeded.
         """
         session.charge()
         return self._parts.access.find(session, id_)
@@ -428,7 +427,7 @@ class ClientApi:
     def schemas(self, session: Session) -> Generator[None, None, dict[str, dict[str, Any]]]:
         """Find in steps the schemas of all that a session may see, by id.
 
-        :raises RateLimited: it is one too many now.
+        :raises RateLimited: the limit is exceeded.
         """
         session.charge()
         return self._parts.discovery.schemas(session.rights)
@@ -451,7 +450,7 @@ class ClientApi:
         return None
 
     def hides(self, session: Session, names: Iterable[str]) -> bool:
-        """Tell whether one of the names (see `names_in`) means something hidden from a session."""
+        """Return whether one of the names (see `names_in`) refers to something hidden from a session."""
         return self._parts.visibility.mentions_hidden(session.rights, session.tenant, names)
 
     def revoke(self, serials: frozenset[Serial]) -> None:
@@ -463,7 +462,7 @@ class ClientApi:
         self._parts.counts.count(self.name, type_, code)
 
     def attempt(self, peer: Peer) -> AbstractContextManager[None]:
-        """Let a client try to prove itself in a way of the transport's own.
+        """Let a client try to authenticate in a way of the transport's own.
 
         It counts as a failed login while it lasts, and for good if it ends with `Unauthenticated`.
 
@@ -472,11 +471,11 @@ class ClientApi:
         return self._parts.identities.attempt(peer)
 
     def turned_away(self, peer: Peer, error: RcpError) -> None:
-        """Report a client that could not prove who it is in such a way, or has no role."""
+        """Report a client that failed to authenticate in such a way, or has no role."""
         self._parts.events.stranger(self.name, peer, error)
 
     def ready(self) -> tuple[bool, dict[str, str]]:
-        """Tell whether every backend is ready, and each one's state."""
+        """Return whether every backend is ready, and each one's state."""
         return self._parts.ready()
 
     def absent_adapters(self) -> dict[str, str]:

@@ -16,7 +16,7 @@ class Clock:
     """The time by which rules decide: ages, deadlines, leases, quotas, what expires.
 
     The gateway has one, and the event loop's `time()` runs with it. Keep the function that is
-    needed where it is called often. What only writes a time down, or measures how long work takes,
+    needed where it is called often. Code that only records a time, or measures how long work takes,
     reads the machine's clock itself.
     """
 

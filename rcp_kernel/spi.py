@@ -1,9 +1,8 @@
 """The interfaces that plugins implement, and those that they receive.
 
-A robot-facing plugin registers `BackendKind` records and implements `Backend` (through
-`BaseBackend`);
-a client-facing one registers `TransportKind` or `AdapterKind` records and uses the gateway only
-through `ClientApi` and `Session`. Hooks declare, context managers run, method calls do the work.
+A robot-facing plugin registers `BackendKind` records and derives from `BaseBackend`; a client-facing
+one registers `TransportKind` or `AdapterKind` records and uses the gateway only through `ClientApi`
+and `Session`. Hooks declare, context managers run, method calls do the work.
 """
 
 from __future__ import annotations
@@ -131,7 +130,7 @@ class RobotLease(msgspec.Struct, frozen=True, kw_only=True):
     expires: int
     reason: str | None
     told: int
-    """When the robot's gateway said so."""
+    """When the robot's gateway reported it."""
 
 
 class OwnLeases(msgspec.Struct, frozen=True):
@@ -139,7 +138,7 @@ class OwnLeases(msgspec.Struct, frozen=True):
 
     leases: tuple[RobotLease, ...]
     told: int
-    """When the robot's gateway said so, ns by its clock."""
+    """When the robot's gateway reported it, ns by its clock."""
 
 
 class RobotLeaseRequest(msgspec.Struct, frozen=True, kw_only=True):
@@ -157,7 +156,7 @@ class RobotLeaseRequest(msgspec.Struct, frozen=True, kw_only=True):
     heir: Principal | None = None
     """To whom it is handed over."""
     program: str | None = None
-    """Which of the principal's programs asks, as a digest."""
+    """Which of the principal's programs requests it, as a digest."""
     former: str | None = None
     """The same of the gateway where that program was before, if there is any."""
 
@@ -166,7 +165,7 @@ class Watchdog(msgspec.Struct, frozen=True):
     """A mechanism that stops a robot when it no longer receives messages from the gateway."""
 
     mechanism: str
-    """In the field's words: `ArduPilot GCS failsafe (FS_GCS_ENABLE=1, FS_GCS_TIMEOUT=5)`."""
+    """By its usual name: `ArduPilot GCS failsafe (FS_GCS_ENABLE=1, FS_GCS_TIMEOUT=5)`."""
     within: float | None
     """Seconds from the gateway's last sign of life until it acts; None: there is no watchdog."""
     verified: bool = False
@@ -205,7 +204,7 @@ class RobotFacts(msgspec.Struct, frozen=True, kw_only=True):
     """What a robot is, as far as its backend knows; shown by the inventory."""
 
     kind: str | None = None
-    """One word of the field: `rover`, `copter`, `plane`, `boat`, `arm`, `forklift`, `motor`."""
+    """The usual word: `rover`, `copter`, `plane`, `boat`, `arm`, `forklift`, `motor`."""
     vendor: str | None = None
     model: str | None = None
     firmware: str | None = None
@@ -259,9 +258,9 @@ class FrameWatch(msgspec.Struct, frozen=True):
     principal: Principal
     """Who wants them, and whose rights there count."""
     publish: Callable[[Any], None]
-    """Takes each value: `Encoded`."""
+    """Called with each value: `Encoded`."""
     missing: Callable[[str], None]
-    """Told why there are none for now, in one sentence."""
+    """Called with the reason why there are none for now, in one sentence."""
 
 
 class Progress(Protocol):
@@ -322,13 +321,13 @@ class Host(Protocol):
         ...
 
     def is_latched(self, robot: str | None = None) -> bool:
-        """Tell whether an e-stop holds one of the backend's robots, or the backend as a whole."""
+        """Return whether an e-stop holds one of the backend's robots, or the backend as a whole."""
         ...
 
     def own_estop(
         self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
     ) -> None:
-        """Report what a robot's own gateway says of its latched e-stop, as in `/system/estop`.
+        """Report the latched e-stop of a robot's own gateway, as in `/system/estop`.
 
         None: it is not latched. With `reset`, because somebody has reset it there: then this
         gateway does not hold the robot any longer either. See `Backend.has_gateways`.
@@ -343,28 +342,28 @@ class Host(Protocol):
         ...
 
     def refused(self, error: RcpError, *, count: int = 1) -> None:
-        """Report that somebody was refused who did not come by a transport, for the audit log.
+        """Report, for the audit log, that a peer of the backend was refused `count` times.
 
-        `count` says how often. A backend whose robots dial in calls this.
+        For backends whose robots connect to them.
         """
         ...
 
     def guard(self, name: str, plan: StopPlan | None) -> None:
-        """Give the guard process what stops a part of the robot without the gateway.
+        """Give the guard process a plan that stops a part of the robot without the gateway.
 
-        A plan of the same name is replaced; None takes it back.
+        It replaces a plan of the same name; None removes that.
         """
         ...
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
-        """Say what one of the backend's robots is (None: the backend as a whole).
+        """Describe one of the backend's robots (None: the backend as a whole).
 
-        Called again when more is known, such as the firmware; it replaces what was said before.
+        Called again when more is known, such as the firmware; it replaces the earlier description.
         """
         ...
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
-        """Say where one of a robot's frames is fixed to the earth; None: no longer known.
+        """Report where one of a robot's frames is fixed to the earth; None: no longer known.
 
         Called again when it changes. The gateway then converts between that frame and `earth`.
         """
@@ -373,7 +372,7 @@ class Host(Protocol):
     def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
         """Give the transforms between a robot's frames.
 
-        Not needed for what `sensor/pose` and `sensor/odometry` tell.
+        Not needed for those that `sensor/pose` and `sensor/odometry` already give.
         """
         ...
 
@@ -591,7 +590,7 @@ class BackendKind(msgspec.Struct, frozen=True):
     """
 
     name: str
-    """The word of the configuration: `use = "<name>"`."""
+    """Its name in the configuration: `use = "<name>"`."""
     config: type[msgspec.Struct]
     """Type of the plugin's table; decoded strictly by the kernel before `open` is called."""
     open: Callable[[Any, Host], AbstractAsyncContextManager[Backend]]
@@ -601,5 +600,5 @@ class BackendKind(msgspec.Struct, frozen=True):
     """Modules of an extra that it cannot be opened without; where one is not installed, the
     gateway says which extra to install and goes on without it."""
     check: Callable[[Any], None] | None = None
-    """Raise `ConfigError` for what the type of the table cannot refuse, such as a file that is not
-    there; asked by `rcpd check` too, so it opens nothing."""
+    """Raises `ConfigError` for faults that the type of the table cannot express, such as a missing
+    file; also called by `rcpd check`, so it opens nothing."""

@@ -56,12 +56,12 @@ class Certificates:
         self._rules = [_Rule(config) for config in configs]
         self.known: dict[str, Certificate] = {} if before is None else before.known
         self.revoked: frozenset[Serial] = frozenset() if before is None else before.revoked
-        """Those that are not good any more."""
+        """The revoked certificates."""
 
     def find(self, certificate: Certificate) -> Principal | None:
         """Return the principal of a certificate; None if no table names it.
 
-        :raises TokenExpired: its time is over, though its connection is still open.
+        :raises TokenExpired: it has expired, although its connection is still open.
         :raises Unauthenticated: it was revoked.
         """
         if certificate.expires <= self._clock.now():

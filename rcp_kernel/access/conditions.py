@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Conditions", "Placed"]
 
 RATE = 5.0
-"""Hz at which the resources are watched that conditions name."""
+"""Hz at which the resources in conditions are watched."""
 
 _FLOATS = {float, bool}
 
@@ -38,7 +38,7 @@ class Placed(Protocol):
 
     @property
     def tenant(self) -> str | None:
-        """Whose it is."""
+        """Its tenant."""
         ...
 
     @property
@@ -96,7 +96,7 @@ class Conditions:
         self._sustain(entry, RATE if entry.name in self._names and not entry.live else 0.0)
 
     def holds(self, condition: Condition, placed: Placed) -> bool | None:
-        """Tell whether a condition holds for a robot; None: it cannot be known."""
+        """Return whether a condition holds for a robot; None: unknown."""
         values = self.values(condition.refs, placed)
         if condition.times:
             moment = datetime.fromtimestamp(self._now() / 1e9).astimezone()
@@ -168,7 +168,7 @@ def _finite(value: Any) -> bool:
         return math.isfinite(value)
     if isinstance(value, list):
         kinds = set(map(type, value))  # pyright: ignore[reportUnknownArgumentType]
-        if kinds <= _FLOATS:  # a long one is most often such
+        if kinds <= _FLOATS:  # most long lists are such
             return all(map(math.isfinite, value))  # pyright: ignore[reportUnknownArgumentType]
         return all(map(_finite, value))  # pyright: ignore[reportUnknownArgumentType]
     if is_map(value):

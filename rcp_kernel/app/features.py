@@ -1,4 +1,4 @@
-"""The features of one gateway: decoded, made, run and reloaded."""
+"""The features of one gateway: decoded, created, run and reloaded."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Features:
 
     @property
     def releases(self) -> dict[str, Releases]:
-        """What tells which requests only release something, by path."""
+        """The functions that recognise requests that only release something, by path."""
         return {one.path: one.releases for one in self.resources if one.releases is not None}
 
     def resources_of(self, name: str) -> list[SystemResource]:
@@ -164,7 +164,7 @@ class Features:
         return facts
 
     def metrics(self) -> Iterable[Metric]:
-        """Go through their families for `/metrics`."""
+        """Return their metric families for `/metrics`."""
         for name, feature in self._made:
             if feature.metrics is not None:
                 try:
@@ -216,25 +216,25 @@ class Features:
         return [*parts, StatusPart({"features": states}, degraded=failed)]
 
     def session_ended(self, session: Session) -> None:
-        """Tell them that a session has ended."""
+        """Notify them that a session has ended."""
         for name, feature in self._made:
             if feature.session_ended is not None:
                 _tell(self._health[name], feature.session_ended, session)
 
     def rights_changed(self) -> None:
-        """Tell them that sessions may have other rights."""
+        """Notify them that the rights of sessions may have changed."""
         for name, feature in self._made:
             if feature.rights_changed is not None:
                 _tell(self._health[name], feature.rights_changed)
 
     def halted(self, paths: frozenset[str], by: str, reason: str) -> None:
-        """Tell them that an e-stop has halted the robots of some paths."""
+        """Notify them that an e-stop has halted the robots of some paths."""
         for name, feature in self._made:
             if feature.halted is not None:
                 _tell(self._health[name], feature.halted, paths, by, reason)
 
     def reconfigure(self, features: Iterable[ActiveFeature]) -> None:
-        """Hand out the tables of another configuration of the same features."""
+        """Apply the tables of another configuration of the same features."""
         tables = {one.kind.name: one.table for one in features}
         for name, feature in self._made:
             if feature.reconfigure is not None and name in tables:
@@ -267,7 +267,7 @@ def _state(health: FeatureHealth) -> dict[str, Any]:
 
 
 def _tell(health: FeatureHealth, listener: Callable[..., None], *facts: Any) -> None:
-    """Call a listener of a feature; a bug of it is its own."""
+    """Call a listener of a feature; an exception counts as a fault of the feature."""
     try:
         listener(*facts)
     except Exception as error:

@@ -2,9 +2,8 @@
 
 Entry-point groups are `rcp.transports`, `rcp.plugins`, `rcp.backends` and `rcp.features`; an entry
 point's name is the name used in the configuration. A plugin that cannot be imported is
-`unavailable`,
-with the command that fixes it, and does not stop the gateway. A feature does: commands that it
-would have refused must not pass because it is broken.
+`unavailable`, with the command that fixes it, and does not stop the gateway. A feature does:
+commands that it would have refused must not pass because it is broken.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ def _by_name(group: str, points: Iterable[EntryPoint]) -> dict[str, EntryPoint]:
 def published_profiles() -> dict[str, Profile]:
     """Return the profiles by name: the standard ones, and those of the installed plugins.
 
-    A plugin that cannot be imported has none to show.
+    A plugin that cannot be imported is skipped.
 
     :raises PluginError: two of them have one name.
     """
@@ -99,7 +98,7 @@ def _lacking(kind: BackendKind | TransportKind | AdapterKind | FeatureKind) -> s
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # not even the package that it is in
+    except ModuleNotFoundError:  # its package is not installed either
         return False
 
 
@@ -245,7 +244,7 @@ class Plugins:
         group: str,
         kinds: Mapping[str, BackendKind | TransportKind | AdapterKind | FeatureKind],
     ) -> list[str]:
-        """Note the kinds that lack a library, and return their names."""
+        """Record the kinds that lack a library as missing, and return their names."""
         points, found = self.points[group], list[str]()
         for name, kind in kinds.items():
             module = _lacking(kind)

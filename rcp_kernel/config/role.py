@@ -1,4 +1,4 @@
-"""Roles: named sets of rules, those of the configuration and those that need none."""
+"""`[roles.<name>]` and the built-in roles: named sets of rules, and their validation."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ _OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
 ASK = Rule(_LOOK, ("/system/approvals",))
 DECIDE = Rule((*_LOOK, "execute"), ("/system/approvals",))
 HUB = "hub"
-"""The role of a hub of a fleet for what it does for itself: it looks, and can stop."""
+"""The role of a fleet's hub for its own requests: it views, and can stop."""
 BUILTIN_ROLES: dict[str, Role] = {
     "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _STOP)),
     HUB: Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _STOP)),
@@ -87,8 +87,8 @@ BUILTIN_ROLES: dict[str, Role] = {
         allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60, may_approve=True
     ),
 }
-"""Roles that need no configuration: look (as a person, or as a hub), operate, operate as a program that gives way to people,
-and all of it with the gateway's own branch. Features add their own rules: `FeatureKind.grants`."""
+"""The built-in roles: view (a person, or a hub), operate, operate as a program that gives way to
+people, and administer the gateway. Features add their own rules: `FeatureKind.grants`."""
 
 
 def check_roles(roles: dict[str, Role], source: str) -> None:

@@ -112,7 +112,7 @@ class Feature:
     """Counts sessions with their requests, subscriptions and commands, and may refuse more of
     them."""
     reader_status: Callable[[Session], Mapping[str, Any]] | None = None
-    """Returns what `/system/status` tells a reader about itself, by the feature's own names."""
+    """Returns items of `/system/status` about its reader, by the feature's own names."""
     metrics: Callable[[], Iterable[Metric]] | None = None
     """Returns metric families for `/metrics`, at each scrape."""
     services: Mapping[ServiceKey[Any], Any] = field(default_factory=dict[ServiceKey[Any], Any])

@@ -49,7 +49,7 @@ class FrameConverter(Protocol):
 
 
 class NoFrames:
-    """A gateway without that feature: goals are left to the robots."""
+    """The converter of a gateway without that feature: goals are passed to the robots unchanged."""
 
     def converts(self, entry: Entry) -> bool:
         """Convert nothing."""

@@ -67,7 +67,7 @@ class Relief:
         self._timer: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
-        """Look from now on, again and again while there are sessions."""
+        """Check queued data periodically while there are sessions."""
         if self._timer is None:
             self._timer = self._loop.call_later(_SWEEP, self._look)
 
@@ -92,7 +92,7 @@ class Relief:
             _conflate(session.connection.outbox, session.subscriptions, _SLOW)
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

@@ -57,7 +57,7 @@ class StoredSession(msgspec.Struct):
 
 
 class SessionResume:
-    """The sessions of earlier runs, and notes of those of this one."""
+    """The stored sessions of earlier runs, and those of this one."""
 
     def __init__(
         self,
@@ -102,20 +102,20 @@ class SessionResume:
             self._loop.call_later(left / 1e9, self._expire, name)
 
     def start(self) -> None:
-        """Note from time to time that the gateway is alive."""
+        """Store periodically that the gateway is alive."""
         self._store.put(_LIFE, "alive", self._now())
         self._beat = self._loop.call_later(_BEAT, self.start)
 
     def stop(self) -> None:
-        """Note it a last time."""
+        """Store it for the last time."""
         if self._beat is not None:
             self._beat.cancel()
         self._store.put(_LIFE, "alive", self._now())
 
-    # -- what becomes of sessions now ----------------------------------------------------------
+    # -- sessions of this run -------------------------------------------------------------------
 
     def note(self, session: Session) -> None:
-        """Keep a session that its client knows, as it is now."""
+        """Store a session that its client knows, as it is now."""
         store = self._store
         if not store.keeps or not session.greeted:
             return
@@ -135,12 +135,12 @@ class SessionResume:
                 self.subscribed(session, subscription)
 
     def subscribed(self, session: Session, subscription: Subscription) -> None:
-        """Keep a subscription of a session that its client knows."""
+        """Store a subscription of a session that its client knows."""
         if not self._store.keeps or not session.greeted:
             return
         options = subscription.options
         if options.count is not None or options.duration is not None:
-            return  # how much of it is left is not kept
+            return  # the remaining part of it is not stored
         row = {
             "paths": [pattern.text for pattern in subscription.patterns],
             "options": msgspec.to_builtins(options),
@@ -148,7 +148,7 @@ class SessionResume:
         self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
 
     def unsubscribed(self, session: Session, id_: str) -> None:
-        """Let go of a subscription."""
+        """Delete a stored subscription."""
         if self._store.keeps and session.greeted:
             self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{id_}", None)
 
@@ -181,14 +181,14 @@ class SessionResume:
             self._delete(name, [f"{name}/{id_}" for id_ in kept.subscriptions])
 
     def restore(self, session: Session, kept: StoredSession, subscribe: Subscribe) -> None:
-        """Let `subscribe` restart a session's subscriptions, with a notice of what is missing."""
+        """Restart a session's subscriptions by `subscribe`, with a notice about lost samples."""
         connection = session.connection
         assert connection is not None
         for id_, row in kept.subscriptions.items():
             try:
                 options = msgspec.convert(row["options"], Options)
                 subscribe(session, id_, row["paths"], options)
-            except Exception as error:  # one that cannot be had again must not keep the others
+            except Exception as error:  # one that cannot be restarted must not prevent the others
                 log.warning("subscription_lost", subscription=id_, error=str(error))
                 notice(connection.outbox, "subscription_ended", id=id_, reason="restart")
                 continue

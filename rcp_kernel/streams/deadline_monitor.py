@@ -57,7 +57,7 @@ class DeadlineMonitor:
             self._sweep = self._loop.call_later(_SWEEP, self.poll)
 
     def tell(self, feed: PathSubscription) -> None:
-        """Notify one subscriber that a value is stale; one in a frame of the robot's is told why."""
+        """Notify one subscriber that a value is stale; in a frame of the robot's, it learns why otherwise."""
         if isinstance(feed, RemoteFramedPathSubscription):
             return
         age = feed.entry.age

@@ -109,14 +109,14 @@ class RemoteFramedPathSubscription(FilteredPathSubscription):
         self._view = view
         self._end: Callable[[], None] | None = None
         self._last: int | None = None
-        """Number of the last value received, or sent before it returned; None: of none."""
+        """Number of the last value received, or sent before the client returned; None: there was none."""
         self._told: str | None = None
         """Why values are missing, as the client knows."""
         self._returned = False
         """Whether the client has returned, and what it missed was not kept."""
 
     def follow(self) -> None:
-        """Begin to receive values, or go on with the rights and the backend of now."""
+        """Start to receive values, or continue with the current rights and backend."""
         before = self._end
         if self.kept:
             self._returned, self._last = True, self.sent
@@ -126,7 +126,7 @@ class RemoteFramedPathSubscription(FilteredPathSubscription):
             before()
 
     def unfollow(self) -> None:
-        """Receive none any more."""
+        """Stop receiving values."""
         self._told = self._last = None
         if self._end is not None:
             self._end()

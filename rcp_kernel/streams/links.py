@@ -192,7 +192,7 @@ class SubscriptionLinker:
     def _replay(self, feed: PathSubscription, known: int) -> Work:
         ring = feed.entry.ring
         if feed.entry.seq <= known or isinstance(feed, RemoteFramedPathSubscription):
-            return  # in another frame, it tells itself what is missing
+            return  # such a feed reports its own gaps
         oldest = ring[0].seq if ring else feed.entry.seq + 1
         if oldest > known + 1:
             lost = oldest - known - 1

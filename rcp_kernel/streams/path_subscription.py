@@ -1,4 +1,4 @@
-"""One path of one subscription, in names a `feed`: its queue, and the encoding of its updates.
+"""One path of one subscription (a `feed` in names): its queue, and the encoding of its updates.
 
 The plain feed, used for most poses at 50 Hz, does a list access and a deque append per sample.
 """
@@ -131,7 +131,7 @@ class PathSubscription:
         self.named = not self.native
         """Whether the client was sent the name of the native type."""
         self.dropped = 0
-        """Samples skipped since the last update that was sent, which the next one tells the client."""
+        """Samples skipped since the last update that was sent; the next one tells the client."""
         self.sent = entry.seq
         """Number of the last sample that the client has or that preceded its subscription: only later
         ones can be missed."""
@@ -211,7 +211,7 @@ class PathSubscription:
                 other.conflate()
 
     def mark(self) -> None:
-        """Let the outbox collect this feed in the next tick."""
+        """Mark this feed to be collected in the next tick."""
         outbox = self.outbox
         if outbox is not None:
             self.marked = True

@@ -94,7 +94,7 @@ class Registry:
             callback()
 
     def leases_told(self, unit: StopGroup) -> None:
-        """Announce what a robot's own gateway says of leases on it."""
+        """Announce that a robot's own gateway has reported the leases on it."""
         for callback in self.on_leases:
             callback(unit)
 
@@ -156,7 +156,7 @@ def _may_own(owner: Owner, path: str) -> bool:
 
 
 def _meet(prefix: str, place: str) -> bool:
-    """Tell whether one of two runs of segments begins the other."""
+    """Return whether one of two paths contains the other."""
     return f"{prefix}/".startswith(f"{place}/") or f"{place}/".startswith(f"{prefix}/")
 
 
