@@ -9,17 +9,15 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import (
-    Awaitable,
     Callable,
     Generator,
     Iterable,
     Iterator,
     Mapping,
-    MutableMapping,
 )
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -35,13 +33,13 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Forbidden,
-    PluginError,
     RateLimited,
     RcpError,
     Unauthenticated,
 )
 from rcp_kernel.features.services import FeatureServices, ServiceKey
 from rcp_kernel.model import NativeType, Pattern
+from rcp_kernel.mounts import Asgi, Mount, Mounts
 from rcp_kernel.requests.command_access import CommandAccess
 from rcp_kernel.requests.discovery import Discovery, Query
 from rcp_kernel.requests.replies import ReplyGate
@@ -60,36 +58,9 @@ from rcp_scheduling.turns import Turns
 from rcp_store.plugin_store import PluginStore
 from rcp_store.store import Store
 
-__all__ = ["ClientApi", "ClientApiParts", "Mount", "Proofs"]
+__all__ = ["Asgi", "ClientApi", "ClientApiParts", "Mount", "Proofs"]
 
 T = TypeVar("T")
-
-Scope = MutableMapping[str, Any]
-Asgi = Callable[
-    [Scope, Callable[[], Awaitable[Any]], Callable[[Any], Awaitable[None]]], Awaitable[None]
-]
-
-
-class Mount(msgspec.Struct, frozen=True, kw_only=True):
-    """A part of the HTTP tree that a plugin serves through the listener of another one."""
-
-    name: str
-    """Who offers it, for logs and errors."""
-    prefix: str
-    """Path below which (and at which) requests go to `app`; the longest prefix wins."""
-    suffix: str = ""
-    """Only paths that end in it, ahead of every mount without one."""
-    kind: Literal["http", "websocket"] = "http"
-    app: Asgi
-    """A plain ASGI application; `scope["path"]` is the whole path."""
-    port: int | None = None
-    """A port of its own, which serves nothing else; None: that of the listener. It must be mounted
-    before the listener opens."""
-    url_secrets: frozenset[str] = frozenset()
-    """Parameters of the URL that may contain a secret, which is refused otherwise."""
-    openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
-    """Returns `paths` and `components` of the OpenAPI document for what a session sees of this
-    mount; parts may be encoded already (`msgspec.Raw`). Long work waits for `turns`."""
 
 
 class Proofs(msgspec.Struct, frozen=True, kw_only=True):
@@ -137,7 +108,7 @@ class ClientApiParts:
 class ClientApi:
     """The gateway as transports and adapters see it. For the event loop's thread only."""
 
-    def __init__(self, parts: ClientApiParts, name: str, mounts: list[Mount]) -> None:
+    def __init__(self, parts: ClientApiParts, name: str, mounts: Mounts) -> None:
         self._parts = parts
         self._handle = parts.connections.handle
         self._read_at_once = parts.connections.at_once["read"]
@@ -213,12 +184,7 @@ class ClientApi:
 
         :raises PluginError: another plugin serves the same prefix, or has the same port.
         """
-        for other in self.mounts:
-            if _place(other) == _place(mount):
-                raise PluginError(f"'{mount.name}' and '{other.name}' both serve {mount.prefix}")
-            if mount.port and mount.port == other.port and mount.name != other.name:
-                raise PluginError(f"'{mount.name}' and '{other.name}' both use port {mount.port}")
-        self.mounts.append(mount)
+        self.mounts.add(mount)
 
     def unmount(self, mount: Mount) -> None:
         """Remove a mount."""
@@ -485,7 +451,3 @@ class ClientApi:
     def metrics(self, session: Session) -> Generator[None, None, bytes]:
         """Write the Prometheus exposition in steps, without the paths hidden from a session."""
         return self._parts.exposition(session.rights)
-
-
-def _place(mount: Mount) -> tuple[str, str, str, int | None]:
-    return mount.kind, mount.prefix, mount.suffix, mount.port

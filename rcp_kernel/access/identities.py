@@ -184,17 +184,37 @@ class Identities:
         authenticator = self._authenticators.get(principal.proof.partition(" ")[0])
         return None if authenticator is None else authenticator.renewed(principal)
 
-    def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
+    def known(
+        self, token: str | None, peer: Peer = UNKNOWN, *, fetched: bool = False
+    ) -> Principal | None:
         """Return the principal of a token, else of the peer's certificate, else anonymous.
 
-        None means that a fetch is required. A token never falls back on the certificate, and must
-        not contradict it.
+        None means that a fetch is required, unless it is already `fetched`. A token never falls back
+        on the certificate, and must not contradict it.
 
         :raises Unauthenticated: the token is unknown, or the certificate is another principal's.
         :raises TokenExpired: the token has expired.
         :raises RateLimited: the peer has sent too many invalid tokens.
         """
-        return self._look(token, peer)
+        certified = None
+        if peer.certificate is not None:
+            certified = self._certificates.find(peer.certificate)
+        if token is None:
+            return certified or self.anonymous()
+        digest = fingerprint(token)
+        try:
+            # By the hash alone, at no cost: a valid token is never delayed by those who guess.
+            principal = self._proved(digest) or self._verified(token, digest, peer, fetched=fetched)
+            if principal is None:
+                return None
+            _agree(certified, check_time(principal, self._clock.now()))
+        except TokenExpired:  # it was valid once, so it was not guessed
+            raise
+        except Unauthenticated:
+            self._attempts.failed(peer.address, digest)
+            raise
+        self._attempts.succeeded(digest)
+        return principal
 
     async def wait(self, token: str, peer: Peer = UNKNOWN) -> Principal:
         """Return the principal of a token for which `known` requires a fetch.
@@ -205,7 +225,7 @@ class Identities:
         authenticator = self._authenticator_of(token)
         if authenticator is not None:
             await self._fetch(authenticator, token)
-        found = self._look(token, peer, fetched=True)
+        found = self.known(token, peer, fetched=True)
         assert found is not None
         return found
 
@@ -236,27 +256,6 @@ class Identities:
             self._others.forgive(peer.address)
             raise
         self._others.forgive(peer.address)
-
-    def _look(self, token: str | None, peer: Peer, *, fetched: bool = False) -> Principal | None:
-        certified = None
-        if peer.certificate is not None:
-            certified = self._certificates.find(peer.certificate)
-        if token is None:
-            return certified or self.anonymous()
-        digest = fingerprint(token)
-        try:
-            # By the hash alone, at no cost: a valid token is never delayed by those who guess.
-            principal = self._proved(digest) or self._verified(token, digest, peer, fetched=fetched)
-            if principal is None:
-                return None
-            _agree(certified, check_time(principal, self._clock.now()))
-        except TokenExpired:  # it was valid once, so it was not guessed
-            raise
-        except Unauthenticated:
-            self._attempts.failed(peer.address, digest)
-            raise
-        self._attempts.succeeded(digest)
-        return principal
 
     def _proved(self, digest: str) -> Principal | None:
         found = self._keyring.proves(digest)

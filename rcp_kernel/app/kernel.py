@@ -19,6 +19,7 @@ from rcp_kernel.config.role import Rule
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.robots import Robots
+from rcp_kernel.mounts import Mounts
 from rcp_kernel.safety.control import Control
 from rcp_kernel.safety.estop import Estop
 from rcp_kernel.sessions.connections import ConnectionParts
@@ -239,7 +240,7 @@ class Kernel(Core):
             turns=self.turns,
             loop=self.loop,
         )
-        return ClientApi(parts, "gateway", [])
+        return ClientApi(parts, "gateway", Mounts())
 
 
 def _grants(features: Sequence[ActiveFeature]) -> dict[str, tuple[Rule, ...]]:

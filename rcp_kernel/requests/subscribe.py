@@ -37,7 +37,7 @@ from rcp_kernel.sessions.conditional import ConditionalSubscriptions
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.streams.framed import FrameView, RemoteFramedPathSubscription
+from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.links import SubscriptionLinker
 from rcp_kernel.streams.notices import notice
@@ -320,8 +320,8 @@ class SubscribeHandler:
     ) -> None:
         if subscription.may(feed.entry):
             self._conditional.place(session, feed)
-            if isinstance(feed, RemoteFramedPathSubscription) and feed in feed.entry.framed:
-                feed.follow()  # as who it is now
+            if feed.remote and feed in feed.entry.framed:
+                feed.follow()  # with the current rights
             return
         self._hub.drop(feed)
         notice(

@@ -15,7 +15,6 @@ import structlog
 
 from rcp_kernel.errors import RcpError
 from rcp_kernel.spi import has_watch
-from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.path_subscription import PathSubscription
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
@@ -88,8 +87,7 @@ class DemandTracker:
                 watch.want(entry, 0.0)
             self.retune(entry)
             for feed in entry.framed:
-                if isinstance(feed, RemoteFramedPathSubscription):
-                    feed.follow()
+                feed.follow()
 
     async def close(self) -> None:
         """Exit all watches."""

@@ -9,16 +9,10 @@ from typing import Any
 from rcp_kernel.streams.deadline_monitor import DeadlineMonitor
 from rcp_kernel.streams.demand import AbsentListener, DemandTracker, absent_listener
 from rcp_kernel.streams.feeds import new_path_subscription
-from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.outbox import FlushScheduler
 from rcp_kernel.streams.path_subscription import PathSubscription
-from rcp_kernel.streams.shared_fanout import (
-    SharedPathSubscription,
-    join_fanout,
-    leave_fanout,
-    path_subscriptions_of,
-)
+from rcp_kernel.streams.shared_fanout import path_subscriptions_of
 from rcp_kernel.streams.subscription import Subscription
 from rcp_kernel.tree.entry import Entry, Listener
 from rcp_kernel.tree.registry import Registry
@@ -122,7 +116,7 @@ class Hub:
         if feed.kept:
             return
         feed.kept = True
-        if isinstance(feed, RemoteFramedPathSubscription):  # there is no history of other frames
+        if feed.remote:  # there is no history of its values here
             return
         entry, absent = feed.entry, absent_listener(feed.entry)
         if absent is None:
@@ -139,7 +133,7 @@ class Hub:
             return
         feed.kept = False
         entry, absent = feed.entry, absent_listener(feed.entry)
-        if isinstance(feed, RemoteFramedPathSubscription) or absent is None:
+        if feed.remote or absent is None:
             return
         if absent.discard(feed.subscription.options.rate):
             if not absent:
@@ -149,13 +143,7 @@ class Hub:
     def relink(self, feed: PathSubscription) -> None:
         """Offer samples to a feed again."""
         entry = feed.entry
-        if isinstance(feed, RemoteFramedPathSubscription):
-            entry.framed += (feed,)
-            feed.follow()
-        elif isinstance(feed, SharedPathSubscription):
-            join_fanout(feed, entry, self.flush_scheduler)
-        else:
-            entry.listeners.append(feed)
+        feed.listen(self.flush_scheduler)
         if len(entry.listeners) == 1:
             entry.size_ring()
         feed.heard = entry.clock.monotonic()
@@ -165,7 +153,7 @@ class Hub:
 
     def unlink(self, feed: PathSubscription) -> None:
         """Stop offering samples to a feed."""
-        if self._unlink(feed):
+        if feed.unlisten():
             self._left(feed.entry)
 
     def _left(self, entry: Entry) -> None:
@@ -174,23 +162,6 @@ class Hub:
                 self.deadline_monitor.forget(entry)
             entry.size_ring()
         self.demand.retune(entry)
-
-    @staticmethod
-    def _unlink(feed: PathSubscription) -> bool:
-        """Remove a feed from its entry's listeners; return whether it was among them."""
-        if isinstance(feed, SharedPathSubscription):
-            return leave_fanout(feed, feed.entry)
-        entry = feed.entry
-        if isinstance(feed, RemoteFramedPathSubscription):
-            feed.unfollow()
-            known = feed in entry.framed
-            entry.framed = tuple(one for one in entry.framed if one is not feed)
-            return known
-        if feed not in entry.listeners:
-            return False
-        # A new list, because a sample may just be being offered to the old one.
-        entry.listeners = [listener for listener in entry.listeners if listener is not feed]
-        return True
 
     def listen(self, entry: Entry, listener: Listener) -> None:
         """Offer every sample to a listener of the gateway, and keep the source running for it."""
@@ -245,7 +216,7 @@ class Hub:
 
     def _removed(self, entry: Entry) -> None:
         for feed in list(path_subscriptions_of(entry)):
-            if self._unlink(feed):
+            if feed.unlisten():
                 subscription = feed.subscription
                 notice(subscription.outbox, "resource_removed", id=subscription.id, path=entry.path)
         self.deadline_monitor.forget(entry)

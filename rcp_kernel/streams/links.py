@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Hashable, Iterator
 
 from rcp_kernel.streams.feeds import new_path_subscription
-from rcp_kernel.streams.framed import RemoteFramedPathSubscription
 from rcp_kernel.streams.hub import Hub
 from rcp_kernel.streams.notices import notice
 from rcp_kernel.streams.options import seconds
@@ -191,8 +190,8 @@ class SubscriptionLinker:
 
     def _replay(self, feed: PathSubscription, known: int) -> Work:
         ring = feed.entry.ring
-        if feed.entry.seq <= known or isinstance(feed, RemoteFramedPathSubscription):
-            return  # such a feed reports its own gaps
+        if feed.entry.seq <= known or feed.remote:
+            return  # a remote one reports its own gaps
         oldest = ring[0].seq if ring else feed.entry.seq + 1
         if oldest > known + 1:
             lost = oldest - known - 1

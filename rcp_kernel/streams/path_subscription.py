@@ -13,7 +13,7 @@ from weakref import WeakValueDictionary
 from rcp_conditions.filters import Where
 from rcp_kernel.errors import RcpError
 from rcp_kernel.streams.options import Options
-from rcp_kernel.streams.outbox import Framing, Outbox, Wrap
+from rcp_kernel.streams.outbox import FlushScheduler, Framing, Outbox, Wrap
 from rcp_kernel.streams.special_updates import first_native, shortened, spliced
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import NATIVE, Fields, Rendering, Sample
@@ -90,6 +90,9 @@ class PathSubscription:
     judges = False
     """Whether `admit` may drop or reduce a sample."""
 
+    remote = False
+    """Whether its values are not the samples of its entry, but come from the robot's own gateway."""
+
     __slots__ = (
         "_heads",
         "_lifespan",
@@ -154,6 +157,22 @@ class PathSubscription:
         self._heads: tuple[Encoding, bytes, bytes] | None = None
         self.share: object = None
         """The key of the frame that all feeds with the same head share in a sample."""
+
+    def listen(self, scheduler: FlushScheduler) -> None:
+        """Add it to the listeners of its entry, which offer it all samples from now on."""
+        self.entry.listeners.append(self)
+
+    def unlisten(self) -> bool:
+        """Remove it from the listeners of its entry; return whether it was among them."""
+        entry = self.entry
+        if self not in entry.listeners:
+            return False
+        # A new list, because a sample may just be being offered to the old one.
+        entry.listeners = [listener for listener in entry.listeners if listener is not self]
+        return True
+
+    def follow(self) -> None:
+        """Receive values with the current rights and backend; only for a `remote` one."""
 
     @property
     def waiting(self) -> int:

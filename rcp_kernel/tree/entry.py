@@ -116,6 +116,14 @@ class Listener(Protocol):
         ...
 
 
+class RemoteListener(Protocol):
+    """A receiver of values in another frame, which the robot's own gateway sends."""
+
+    def follow(self) -> None:
+        """Receive them with the current rights and backend."""
+        ...
+
+
 class Entry:
     """A resource in its place in the tree."""
 
@@ -200,8 +208,8 @@ class Entry:
         self.keeps_history = False
         """Whether its whole history is stored even without subscribers."""
         self.listeners: list[Listener] = []
-        self.framed: tuple[Listener, ...] = ()
-        """Those that the robot's own gateway sends values in other frames."""
+        self.framed: tuple[RemoteListener, ...] = ()
+        """Receivers of values in other frames from the robot's own gateway."""
         self.sustained = 0.0
         """Rate in Hz at which it is published regardless of subscribers."""
         self.written: float | None = None
