@@ -492,16 +492,17 @@ class BackendSupervisor:
                 log.warning(
                     "not_recovered",
                     backend=unit.name,
-                    command=lost,
+                    command=lost.path,
                     error=text,
                     exc_info=unexpected,
                 )
                 await asyncio.sleep(wait)
                 wait = min(wait * 2, _LAST_RETRY)
             else:
-                unit.lost = None
-                log.warning("recovered", backend=unit.name, command=lost, done=done)
-                self._events.recovered(unit, lost, done)
+                if unit.lost is lost:  # otherwise another was lost meanwhile
+                    unit.lost = None
+                log.warning("recovered", backend=unit.name, command=lost.path, done=done)
+                self._events.recovered(unit, lost.path, done)
 
     def _down(self, error: Exception) -> None:
         self._set_backend(None)

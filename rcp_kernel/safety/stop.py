@@ -164,6 +164,7 @@ class StopController:
             stop = self._stops.pop(unit, None)
             if stop is not None:
                 stop.released = True
+                unit.note_reset()
         self._changed()
 
     async def wait(self, stops: Sequence[Stop], seconds: float) -> list[Stop]:

@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 from rcp_kernel.clock import Clock, now
@@ -28,7 +29,16 @@ from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.samples import Form, Sample, form_of, forms
 from rcp_kernel.values import ValueType, value_type
 
-__all__ = ["BEFORE", "Availability", "Entry", "Listener", "Owner", "StopGroup", "is_system"]
+__all__ = [
+    "BEFORE",
+    "Availability",
+    "Entry",
+    "Listener",
+    "LostCommand",
+    "Owner",
+    "StopGroup",
+    "is_system",
+]
 
 Availability = Literal["starting", "ready", "degraded", "down"]
 _BY_SEVERITY = ("ready", "degraded", "starting", "down")
@@ -296,6 +306,15 @@ BEFORE = -1
 """Number of stops before a command of an earlier gateway began."""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class LostCommand:
+    """A command that was lost with the link, or with an earlier gateway: the robot may still obey it."""
+
+    path: str
+    began: int
+    """Number of stops before it began."""
+
+
 class StopGroup:
     """What an e-stop stops as a whole: all robots of a backend, or one that it can halt alone."""
 
@@ -314,7 +333,6 @@ class StopGroup:
         "identity",
         "keys",
         "lost",
-        "lost_began",
         "name",
         "own",
         "own_leases",
@@ -341,11 +359,8 @@ class StopGroup:
         own = (self.name,) if robot is None else (self.name, owner.name)
         self.keys = (*own, self.identity, tenant)
         """The keys of all latches that hold it but the gateway's, the narrowest first."""
-        self.lost: str | None = None
-        """The path of a command that was lost, with the link or with an earlier gateway, and that the
-        robot may still carry out."""
-        self.lost_began = BEFORE
-        """Number of stops before that command began."""
+        self.lost: LostCommand | None = None
+        """The newest of them; its loss policy is still to be carried out."""
         self._halted = BEFORE
         """Number of stops before the newest halt that has reached it."""
         self.usable_backend: Backend | None = None
@@ -417,13 +432,23 @@ class StopGroup:
         """
         if began < self._halted:
             return False
-        self.lost, self.lost_began = path, began
+        self.lost = LostCommand(path, began)
         return True
 
     def note_halted(self, number: int) -> None:
         """Record that a halt, sent after so many stops, has reached it: what began before is over."""
         self._halted = max(self._halted, number)
-        if self.lost_began < self._halted:
+        if self.lost is not None and self.lost.began < self._halted:
+            self.lost = None
+
+    def note_reset(self) -> None:
+        """Forget a lost command unless the robot is out of reach.
+
+        Whoever resets an e-stop sees the robot and takes over, and a reset must not start a motion
+        (ISO 13850, 4.1.4): the policy may be to land, or to return home. A robot that is out of reach
+        is nobody's until its link is restored.
+        """
+        if self.usable_backend is not None:
             self.lost = None
 
     @property

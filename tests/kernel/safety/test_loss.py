@@ -225,17 +225,63 @@ class Late(Scripted):
         self.halting, self.answers = asyncio.Event(), asyncio.Event()
 
 
+async def test_a_reset_of_a_robot_in_reach_begins_no_recovery() -> None:
+    async with scripted_world(make=Late) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        assert isinstance(robot, Late)
+        await lose(world, admin)
+        robot.lost = ""
+        robot.host.report(None)
+        await estop(admin, deadline=0.1)
+        assert (await estop(admin, reset=True))["status"] == "completed"
+        robot.host.report("the link is cut", down=True)  # once more, with nothing to lose
+        back(robot)
+        await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=BOUND)
+        assert "recover" not in robot.sent
+        assert robot.sent[-1] == "write 1"
+
+
+class Twice(Scripted):
+    """Loses another command while it recovers from the first."""
+
+    def __init__(self, host: Host) -> None:
+        super().__init__(host)
+        self.recoveries, self.first, self.second = 0, asyncio.Event(), asyncio.Event()
+
+    async def recover(self, robot: str | None) -> str:
+        self.recoveries += 1
+        self.first.set()
+        await self.release.wait()
+        if self.recoveries > 1:
+            self.second.set()
+        return "landed"
+
+
+async def test_a_command_lost_during_a_recovery_is_settled_by_another() -> None:
+    async with scripted_world(make=Twice) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        assert isinstance(robot, Twice)
+        await lose(world, admin)
+        back(robot)
+        async with asyncio.timeout(BOUND):
+            await robot.first.wait()
+            assert world.server.kernel.registry.entries[GO].unit.note_lost(GO, 0)
+            robot.release.set()
+            await robot.second.wait()
+
+
 async def test_a_halt_that_is_answered_after_the_reset_ends_what_was_lost() -> None:
     async with scripted_world(make=Late) as world:
         robot, admin = scripted(world), world.client(ADMIN)
         assert isinstance(robot, Late)
         unit = world.server.kernel.registry.entries[GO].unit
-        assert unit.note_lost(GO, 0)  # and the link is back, and the recovery not begun
+        assert unit.note_lost(GO, 0)
         stopped = admin.send(type="execute", path="/system/estop", body={})
         async with asyncio.timeout(BOUND):
             await robot.halting.wait()
+        robot.host.report("nothing is heard of it", down=True)
         assert (await estop(admin, reset=True))["status"] == "completed"
-        assert unit.lost == GO
+        assert unit.lost is not None
         robot.answers.set()
         await admin.final(stopped)
         assert unit.lost is None
