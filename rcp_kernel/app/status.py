@@ -15,7 +15,7 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.sights import Hidden, Sights
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.app.log import Recent
-from rcp_kernel.app.supervisor import WIRE_STATE, BackendSupervisor
+from rcp_kernel.app.supervisor import BackendSupervisor
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.features import StatusPart
@@ -100,10 +100,7 @@ class StatusReport:
 
     def ready(self) -> tuple[bool, dict[str, str]]:
         """Return whether every backend is ready, and each one's state."""
-        states = {
-            supervisor.name: WIRE_STATE.get(supervisor.state, "down")
-            for supervisor in self._supervisors
-        }
+        states: dict[str, str] = {one.name: one.availability for one in self._supervisors}
         return all(state in ("ready", "degraded") for state in states.values()), states
 
     def absent_adapters(self) -> dict[str, str]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import msgspec
 import structlog
@@ -43,7 +43,7 @@ _Robots = dict[StopGroup, None]
 
 
 class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Stop, or with `reset` allow commands again; nothing moves until a new one."""
+    """Stop, or with `reset` allow commands again; nothing moves until there is a new one."""
 
     scope: Annotated[str, Meta(max_length=256)] | None = None
     """`/tenant/<tenant>`, a robot or sub-tree of one, a group of the configuration, the name of a
@@ -61,27 +61,17 @@ class EstopState(msgspec.Struct, frozen=True):
     far the stop has come (`state`: requested, commanded, confirmed at rest) and when; in `detail` why
     it is not confirmed; and in `alarm` whether the robot has moved again under the latch."""
     scopes: dict[str, dict[str, Any]] = {}
-    """Latches of whole tenants and of the gateway (`*`), which hold also robots that appear."""
+    """Latches of whole tenants and of the gateway (`*`), which also hold robots that appear later."""
     groups: tuple[str, ...] = ()
     """Groups of the configuration that can be named as a scope."""
     reset: Time | None = None
     """When one of the robots was last reset since the gateway was started."""
 
 
-class EstopRecorder(Protocol):
-    """The recorder of e-stops and resets."""
-
-    def __call__(
-        self,
-        session: Session,
-        request: Request,
-        body: EstopRequest,
-        keys: dict[str, str | None],
-        robots: list[StopGroup],
-        /,
-    ) -> None:
-        """Record what was latched or reset; must not block."""
-        ...
+EstopRecorder = Callable[
+    [Session, Request, EstopRequest, dict[str, str | None], list[StopGroup]], None
+]
+"""Records the keys of the latches that were set or reset, and the robots; must not block."""
 
 
 class Estop:
@@ -121,7 +111,7 @@ class Estop:
         self._loop = loop
         self._now = clock.now
         self._due: list[tuple[list[StopGroup], str, str | None]] = []
-        """E-stops after which what ran has not been ended yet."""
+        """E-stops whose running commands have not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
 
     # -- latches -------------------------------------------------------------------------------
@@ -129,7 +119,7 @@ class Estop:
     def state(self, session: Session) -> EstopState:
         """Return the latches visible to a session."""
         own = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
-        wide = {key: latch.plain() for key, latch in self._wide().items() if key in own}
+        wide = {key: latch.plain() for key, latch in self._latches.wide.items() if key in own}
         visible = self._visible(session)
         groups = tuple(
             name for name in self._groups() if self._members(session.rights, name, visible)
@@ -139,7 +129,7 @@ class Estop:
     def everything(self) -> EstopState:
         """Return all latches."""
         units = [unit for supervisor in self._supervisors for unit in supervisor.units]
-        wide = {key: latch.plain() for key, latch in self._wide().items()}
+        wide = {key: latch.plain() for key, latch in self._latches.wide.items()}
         return self._state_of(units, wide, tuple(self._groups()))
 
     def _state_of(
@@ -158,11 +148,8 @@ class Estop:
     def _groups(self) -> dict[str, tuple[str, ...]]:
         return self._settings.config.safety.groups
 
-    def _wide(self) -> dict[str, Any]:
-        return self._latches.wide
-
     def _visible(self, session: Session) -> _Robots:
-        """Find the robots that a session may see, one by one."""
+        """Return the robots that a session may see."""
         rights, sees = session.rights, self._scopes.sees_robot
         return {
             unit: None
@@ -391,7 +378,7 @@ class Estop:
 
         :raises DeviceRejected: one refuses or does not answer; it is latched here again.
         """
-        # All are heard to the end, even if the request ends before.
+        # Every gateway is waited for, even if the request ends before.
         asking = [self._loop.create_task(self._reset_at_gateway(*one)) for one in robots.items()]
         found = await asyncio.shield(asyncio.gather(*asking))
         seen = self._visible(session)
