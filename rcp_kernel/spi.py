@@ -395,7 +395,7 @@ class BackendKind(msgspec.Struct, frozen=True):
     """One line for `rcpd plugins`."""
     needs: tuple[str, ...] = ()
     """Modules of an extra that it cannot be opened without; where one is not installed, the
-    gateway says which extra to install and goes on without it."""
+    gateway says which extra to install and continues without it."""
     check: Callable[[Any], None] | None = None
     """Raises `ConfigError` for faults that the type of the table cannot express, such as a missing
     file; also called by `rcpd check`, so it opens nothing."""

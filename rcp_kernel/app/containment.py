@@ -37,7 +37,7 @@ def _plugin_exit(error: BaseException) -> PluginExit:
 
 @contextmanager
 def contained() -> Generator[None]:
-    """Turn whatever would end the process into an ordinary error.
+    """Convert exceptions that would end the process to ordinary errors.
 
     :raises PluginExit: it would have.
     """
@@ -69,7 +69,7 @@ class ContainedBackend(Backend):
         self.inner = backend
         """The plugin's own object."""
         self.on_loss = backend.on_loss
-        # A backend need not derive from `Backend`: what it lacks is as there.
+        # A backend that does not derive from `Backend` has the defaults of what it lacks.
         self.has_gateways = getattr(backend, "has_gateways", Backend.has_gateways)
         for name, contain in _CONTAIN.items():
             if hasattr(backend, name):

@@ -22,6 +22,7 @@ from rcp_kernel.features.robots import Robots
 from rcp_kernel.mounts import Mounts
 from rcp_kernel.safety.control import Control
 from rcp_kernel.safety.estop import Estop
+from rcp_kernel.safety.estop_scopes import EstopScopes
 from rcp_kernel.sessions.connections import ConnectionParts
 from rcp_kernel.sessions.handshake import Handshake
 from rcp_store.store import Store
@@ -130,7 +131,7 @@ class Kernel(Core):
             self.latches,
             self.deadman,
             self.commands,
-            scopes=self.scopes,
+            scopes=EstopScopes(self.supervisors, self.scopes, self.identities, self.settings),
             identities=self.identities,
             settings=self.settings,
             halted=self.features.halted,

@@ -253,7 +253,7 @@ class BackendSupervisor(BackendStatus):
         self._registry.leases_told(unit)
 
     def refused(self, error: RcpError, *, count: int = 1) -> None:
-        """Report that somebody was refused at the robots' side."""
+        """Report that a peer was refused at the robots' side."""
         self.refusals[error.code] += count
         log.warning("backend_refused", backend=self.name, reason=error.message, count=count)
         self._events.refused(self.name, self.tenant, error, count)

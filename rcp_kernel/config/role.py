@@ -41,7 +41,7 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def mask(self) -> Operation:
-        """The operations as bits; whatever may be done may be discovered too."""
+        """The operations as bits."""
         bits = Operation.NONE
         for name in self.operations:
             bits |= OPERATIONS if name == "*" else Operation[name.upper()]

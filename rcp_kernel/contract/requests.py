@@ -7,10 +7,10 @@ from typing import Any
 from rcp_kernel.values import ValueType
 from rcp_kernel.wire import Request
 
-__all__ = ["Prepared", "QueuedRequest"]
+__all__ = ["PreparedRequest", "QueuedRequest"]
 
 
-class Prepared(Request):
+class PreparedRequest(Request):
     """A long request whose body was decoded in steps before it is handled."""
 
     type_of_body: ValueType

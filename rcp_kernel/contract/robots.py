@@ -229,7 +229,7 @@ class FrameTree(Protocol):
 
 
 class FrameWatch(msgspec.Struct, frozen=True):
-    """The values of a resource in a frame, as somebody wants them from the robot's own gateway."""
+    """The values of a resource in a frame, as a client requests them from the robot's own gateway."""
 
     frame: str
     rate: float | None

@@ -15,7 +15,7 @@ import msgspec
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
-from rcp_kernel.contract.requests import Prepared, QueuedRequest
+from rcp_kernel.contract.requests import PreparedRequest, QueuedRequest
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.features.frames import FrameConverter
@@ -436,7 +436,7 @@ def _command(call: Call) -> Command:
         request_id=request.id,
         custom=request.custom,
         timestamp=request.timestamp,
-        input=LongValue(call.value) if isinstance(request, Prepared) else call.value,
+        input=LongValue(call.value) if isinstance(request, PreparedRequest) else call.value,
         session=session.id,
         entry=entry,
     )

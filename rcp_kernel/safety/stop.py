@@ -73,7 +73,7 @@ class Stop:
         self.halted = False
         """Whether a `halt` has returned since the stop was requested, or since it moved again."""
         self.released = False
-        """Whether the latch was reset: nothing is repeated any more."""
+        """Whether the latch was reset: the stop is no longer repeated."""
         self.tasks: set[asyncio.Future[None]] = set()
 
     @property
@@ -131,7 +131,7 @@ class StopController:
         return list(stops.values())
 
     def halt_unseen(self, whole: StopGroup) -> None:
-        """Halt all of a backend, beside the robots that are known; nothing waits for it."""
+        """Halt all of a backend, in addition to its known robots; nothing waits for it."""
         with unfenced():
             task = self._loop.create_task(whole.halt())
         task.add_done_callback(_consume_outcome)
@@ -183,7 +183,7 @@ class StopController:
             self._drop(stop)
 
     def _drop(self, stop: Stop) -> None:
-        """Stop repeating a stop that nothing can send any more."""
+        """Stop repeating a stop that can no longer be sent."""
         del self._stops[stop.unit]
         stop.released = True
         for task in stop.tasks:

@@ -56,7 +56,7 @@ class DeadlineMonitor:
             self._sweep = self._loop.call_later(_SWEEP, self.poll)
 
     def tell(self, feed: PathSubscription) -> None:
-        """Notify one subscriber that a value is stale, unless it is told by the robot's own gateway."""
+        """Notify one subscriber that a value is stale, unless the robot's own gateway sends its values."""
         if feed.remote:
             return
         age = feed.entry.age

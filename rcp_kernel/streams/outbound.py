@@ -96,7 +96,7 @@ class Backlog:
         self._outbound.wait(outbox)
 
     def close(self, outbox: Waiting | None = None) -> None:
-        """Stop counting, and do not flush its outbox any more."""
+        """Stop counting, and no longer flush its outbox."""
         if outbox is not None:
             self._outbound.forget(outbox)
         self.close_client = None
@@ -156,7 +156,7 @@ class Outbound:
         self._watch()
 
     def forget(self, outbox: Waiting) -> None:
-        """Do not flush an outbox any more."""
+        """No longer flush an outbox."""
         self._waiting.pop(outbox, None)
 
     def _wake(self) -> None:

@@ -47,7 +47,7 @@ class SharedUpdate:
         self._values: dict[Hashable, _Value] = {}
 
     def make(self, key: Hashable, steps: Generator[None, None, Any]) -> Generator[None, None, Any]:
-        """Return the value for a key, which `steps` compute if nobody else does.
+        """Return the value for a key, computed by `steps` unless another reader has begun it.
 
         The first step is taken at once, while what the key says of the reader holds.
         """

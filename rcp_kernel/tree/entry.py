@@ -199,7 +199,7 @@ class Entry:
         """Whether a latched e-stop refuses it."""
         policy = resource.policy
         self.parallel = policy == "parallel" or (policy is None and self.kind is Kind.SERVICE)
-        """Whether commands run beside each other: the default of services."""
+        """Whether commands run concurrently: the default of services."""
         self.is_hold = False
         """Whether it is the gateway's own hold service, which brings the robot to rest without an e-stop."""
         self.live = resource.live

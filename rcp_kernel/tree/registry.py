@@ -33,7 +33,7 @@ class Registry:
         self.on_added: list[Callable[[Entry], None]] = []
         self.on_removed: list[Callable[[Entry], None]] = []
         self.on_state: list[Callable[[], None]] = []
-        """Called when the state of some robot, or what is known of it, may have changed."""
+        """Called when the state of some robot, or what is known about it, may have changed."""
         self.on_leases: list[Callable[[StopGroup], None]] = []
         """Called when a robot's own gateway has said who holds leases on it."""
         self._growing: list[Owner] = []
@@ -89,7 +89,7 @@ class Registry:
             callback(entry)
 
     def state_changed(self) -> None:
-        """Announce that the state of some robot, or what is known of it, may have changed."""
+        """Announce that the state of some robot, or what is known about it, may have changed."""
         for callback in self.on_state:
             callback()
 
