@@ -33,7 +33,7 @@ __all__ = ["Kernel"]
 class Kernel(Core):
     """A gateway without backends that does not serve yet, for the application and tests.
 
-    No part of it holds it: each receives what it uses.
+    No part of it holds it, except `Handlers`: each receives what it uses.
     """
 
     def __init__(
