@@ -141,8 +141,9 @@ class Core:
             clock=self.clock,
         )
         # What they may see is computed in steps from now on, so that a stop need not wait for it.
+        look = self.sights.look
         for listeners in (self.sessions.on_begin, self.sessions.on_renewal):
-            listeners.append(lambda session: self.sights.look(session.rights))
+            listeners.append(lambda session: look(session.rights))
         self.delegation = Delegation(self.identities, self.sessions)
         self.access = CommandAccess(self.journal, self.visibility, self.identities)
 
