@@ -10,8 +10,8 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rcp_kernel.app.plugins import installed, obstacle
-from rcp_kernel.app.server import Server
+from rcp_gateway.plugins import installed, obstacle
+from rcp_gateway.server import Server
 
 __all__ = ["Demo", "token_file"]
 

@@ -30,11 +30,11 @@ from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import Anchor
-from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ANY
 from rcp_kernel.wire import Request
+from rcp_streams.framed import FrameView
 
 __all__ = ["Frames"]
 

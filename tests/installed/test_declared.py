@@ -45,7 +45,7 @@ EXTRAS = {
 """The extras that bring what a package imports; any other has the dependencies alone."""
 BROUGHT = packages_distributions()
 KIT = {"hypothesis", "jsonschema", "pytest"}
-"""What `rcp_kernel.testing` needs: it is for those who test."""
+"""What `rcp_gateway.testing` needs: it is for those who test."""
 LATER = {"compression"}
 """What the standard library has from Python 3.14 on."""
 MESSAGES = re.compile(

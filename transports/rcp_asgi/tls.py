@@ -14,7 +14,7 @@ from typing import Any
 import structlog
 
 from rcp_asgi.config import TlsConfig
-from rcp_kernel.api import Serial, others_may, read_pem, require_certificates, revoked_by
+from rcp_gateway.api import Serial, others_may, read_pem, require_certificates, revoked_by
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ConfigError
 

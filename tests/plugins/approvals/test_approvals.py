@@ -9,10 +9,10 @@ import pytest
 
 from kernel.world import Client, World, features_of, world_of
 from plugins.plans.planned import GO, PEOPLE, begun, code, echo, faults, go, run, states, step
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.features.approval import APPROVALS
-from rcp_kernel.testing import SteppedClock
 from rcp_kernel.values import Encoding
 
 AGENT, GUARD, OWNED = "agent-agent-agent", "guard-guard-guard", "owned-owned-owned"

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from configuration import backend, configuration, key
 from kernel.world import BOUND, Client, World, kept_in, settled, until_trouble, world_of
 from rcp_audit.throttle import DenialThrottle
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 from rcpd.audit import audit
 from rcpd.examination import examined
 

@@ -11,8 +11,8 @@ import pytest
 
 from configuration import key
 from kernel.world import BOUND, CONFIG, Client, World, kept_in, settled, world_of
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.clock import Clock
-from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request

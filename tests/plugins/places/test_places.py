@@ -13,10 +13,7 @@ import pytest
 
 import rcp_places
 from configuration import backend, key, role, rule, table
-from rcp_kernel.config.file import parse
-from rcp_kernel.errors import ConfigError
-from rcp_kernel.spi import Host
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     FeatureGateway,
     FeatureSuite,
     MemoryClient,
@@ -24,7 +21,10 @@ from rcp_kernel.testing import (
     scripted,
     serve,
 )
-from rcp_kernel.testing._serve import Served
+from rcp_gateway.testing._serve import Served
+from rcp_kernel.config.file import parse
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.spi import Host
 from rcp_kernel.types import Point, PoseStamped
 from rcp_places.config import GivenPlace, PlacesConfig, check
 from rcp_places.messages import Position

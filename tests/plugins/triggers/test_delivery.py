@@ -15,7 +15,7 @@ from aiosmtpd.smtp import SMTP
 from certs import Authority
 from plugins.triggers.gateway import Rig, gateway, webhook
 from plugins.triggers.receiver import receiver
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 
