@@ -1,1 +1,1 @@
-"""The composition root: builds every part once, runs the gateway, and takes it down again."""
+"""The running gateway: every part built once, started and stopped; the interface of what connects clients."""

@@ -1,1 +1,1 @@
-"""Each kind of request, from its envelope to its final reply and its record."""
+"""Each kind of request, from the message of a client to its final reply and its record."""

@@ -1,1 +1,1 @@
-"""The way of samples to subscribers, and the data queued for them."""
+"""The way of samples to their subscribers."""

@@ -1,8 +1,8 @@
 """The parts for transports and adapters, besides `ClientApi` and `rcp_web.asgi`.
 
-A plugin that connects clients imports only the public modules: `api`, `api.pages`, `client_api`,
-`client_kinds`, `clock`, `errors`, `features`, `hookspecs`, `model`, `types`, `values` and `wire`.
-These names are stable when the kernel behind them is rearranged.
+A plugin that connects clients imports only public modules: of `rcp_gateway` `api`, `api.pages`,
+`client_api`, `client_kinds` and `hookspecs`; of `rcp_kernel` `clock`, `errors`, `features`, `model`,
+`types`, `values` and `wire`. These names are stable when what is behind them is rearranged.
 """
 
 from __future__ import annotations

@@ -107,7 +107,7 @@ def declared(project: dict[str, Any], package: str) -> set[str]:
 def test_whatever_is_imported_is_declared(package: Path) -> None:
     project = CLIENT if package.parent.name == "python" else GATEWAY
     allowed = declared(project, package.name)
-    modules = imported(package) - (KIT if package.name == "rcp_kernel" else set())
+    modules = imported(package) - (KIT if package.name == "rcp_gateway" else set())
     for module in sorted(modules):
         of = {re.sub(r"[-_.]+", "-", name).lower() for name in BROUGHT.get(module, [module])}
         assert of & allowed, f"{package.name} imports {module}, of {', '.join(sorted(of))}"
