@@ -17,6 +17,10 @@ from rcp_recordings.names import ACTIVE
 __all__ = ["Catalogue", "NoSpace"]
 
 log = structlog.get_logger("rcp.recorder")
+_UNREADABLE = (
+    OSError, McapError, ValueError, KeyError, struct.error, OverflowError, MemoryError
+)  # fmt: skip
+"""Errors of a file that is damaged, or not one of ours."""
 
 
 class NoSpace(OSError):
@@ -93,6 +97,6 @@ class Catalogue:
     def _look(self, path: Path) -> Kept | None:
         try:
             return read(path)
-        except (OSError, McapError, ValueError, KeyError, struct.error) as error:
+        except _UNREADABLE as error:
             log.warning("recording_unreadable", file=path.name, error=str(error))
             return None

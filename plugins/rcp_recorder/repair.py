@@ -36,6 +36,8 @@ DAMAGED = ".damaged"
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")
+_WRONG = (McapError, ValueError, EOFError, struct.error, ZstdError, OverflowError, MemoryError)
+"""Errors of records with other content than was written; lengths may be any number."""
 _PIECE = 1 << 20  # bytes
 _LONGEST = 4 << 20  # bytes of the last record, which was not written to its end
 _DATA = frozenset((Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA))
@@ -137,7 +139,7 @@ def _search(file: Any) -> _Found:
         found.rest = len(begin) if MCAP0_MAGIC.startswith(begin) else 0
         return found
     # Whatever ends it was not written, or only in part.
-    with contextlib.suppress(McapError, ValueError, EOFError, struct.error, ZstdError):
+    with contextlib.suppress(*_WRONG):
         for part in _parts(file, found):
             _take(found, part, file)
     return found
@@ -172,7 +174,8 @@ def _has_data(file: Any, start: int) -> bool:
 
 
 def _take(found: _Found, part: _Part, file: Any) -> None:
-    stream = ReadDataStream(file)
+    # No more than the record has, whatever lengths it claims for its parts.
+    stream = ReadDataStream(BytesIO(file.read(part.length - _HEAD.size)))
     match part.opcode:
         case Opcode.CHUNK:
             chunk = Chunk.read(stream)

@@ -163,6 +163,16 @@ def test_a_file_with_damage_before_its_end_is_kept_beside_what_is_read(
     assert [len(lines(file)) for file in complete(whole.parent)] == ([] if place < 0.1 else [10])
 
 
+def test_no_length_that_is_wrong_keeps_the_recorder_from_recording(whole: Path) -> None:
+    data = whole.read_bytes()
+    for place in range(len(data) // 3, len(data) // 3 * 2, 3):
+        damaged = data[:place] + b"\xff" * 8 + data[place + 8 :]
+        whole.write_bytes(damaged)
+        repair(whole)
+        for file in whole.parent.iterdir():
+            file.unlink()
+
+
 def test_a_file_whose_last_blocks_were_not_written_is_not_damaged(whole: Path) -> None:
     whole.write_bytes(whole.read_bytes() + bytes(1 << 20))
     done = repair(whole)
