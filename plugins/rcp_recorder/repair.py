@@ -15,8 +15,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from mcap.data_stream import ReadDataStream, RecordBuilder
 import structlog
+from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, MessageIndex, Metadata, MetadataIndex, Schema

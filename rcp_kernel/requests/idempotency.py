@@ -101,9 +101,7 @@ class Keys:
         name = _name(session, request.idempotency_key, path)
         if name in self._known:
             self._drop(name)
-        seen = _Seen(
-            _digest(request, path), self._now(), request.type, path, self._monotonic()
-        )
+        seen = _Seen(_digest(request, path), self._now(), request.type, path, self._monotonic())
         seen.outcome = outcome
         if isinstance(outcome, Command):
             seen.command = outcome.id

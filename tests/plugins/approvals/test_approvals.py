@@ -296,7 +296,9 @@ async def test_an_approval_expires_though_the_clock_is_set_back(stepped: Stepped
 
 async def test_nobody_approves_with_another_credential_what_they_asked_for(tmp_path: Path) -> None:
     both = role("both", rule("*", "/**"), rule("*", "/system/**"), may_approve=True, approve=[GO])
-    text = kept_in(tmp_path / "store.db", PEOPLE + both + key("pat", "pat-pat-pat-pat-pat", role="both"))
+    text = kept_in(
+        tmp_path / "store.db", PEOPLE + both + key("pat", "pat-pat-pat-pat-pat", role="both")
+    )
     with closing(TokenFile(tmp_path / "store.db")) as tokens:
         _, token = tokens.create("pat", (("*", ("both",)),), None)
         _, another = tokens.create("sam", (("*", ("both",)),), None)
@@ -306,7 +308,9 @@ async def test_nobody_approves_with_another_credential_what_they_asked_for(tmp_p
         reply = await decide(again, id_)
         assert code(reply) == "forbidden"
         assert "your own command" in reply["message"]
-        kept = world.client("pat-pat-pat-pat-pat")  # nor in one session, which goes on with the token
+        kept = world.client(
+            "pat-pat-pat-pat-pat"
+        )  # nor in one session, which goes on with the token
         await kept.ask(type="hello", body={"token": token})
         assert code(await decide(kept, id_)) == "forbidden"
         assert code(await decide(world.client(another), id_)) == "completed"

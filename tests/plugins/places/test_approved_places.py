@@ -102,9 +102,7 @@ async def test_a_place_that_is_moved_while_its_plan_runs_is_not_gone_to() -> Non
         steps = ({**STEP, "value": {"position": {"x": 0.5, "y": 0.5}}}, STEP)
         id_ = await approved(asker, guard, await plan(asker, *steps))
         body = {"steps": [*steps]}
-        sent = await asker.send(
-            type="execute", path="/system/plans", body=body, approval=id_
-        )
+        sent = await asker.send(type="execute", path="/system/plans", body=body, approval=id_)
         await begun(site)
         await dock(asker, 20)
         release(site)
