@@ -30,8 +30,10 @@ log = structlog.get_logger("rcp.store")
 _KEPT = 20_000
 _BYTES = 16 * 1024 * 1024  # of outcomes
 _LONGEST = 64 * 1024  # bytes of one outcome; a longer one is kept without its body
-_AGE = 86_400 * 10**9  # ns
+_AGE = 86_400.0  # s
 _TABLE = "keys"
+_UNKEPT = ("outcome", "since")
+"""What the store does not have of a key."""
 
 Outcome = Command | asyncio.Future[Reply]
 """What a key has led to: the command of an `execute`, or the reply to a write."""
@@ -40,11 +42,15 @@ Outcome = Command | asyncio.Future[Reply]
 class _Seen:
     """A key with its request and the outcome."""
 
-    __slots__ = ("command", "created", "digest", "outcome", "path", "reply", "type")
+    __slots__ = ("command", "created", "digest", "outcome", "path", "reply", "since", "type")
 
-    def __init__(self, digest: bytes, created: int, type_: str, path: str) -> None:
+    def __init__(
+        self, digest: bytes, created: int, type_: str, path: str, since: float = 0.0
+    ) -> None:
         self.digest = digest
         self.created = created
+        self.since = since
+        """When this run came to know it, by `Clock.monotonic`: wall time may be set at any moment."""
         self.type = type_
         self.path = path
         self.command: str | None = None
@@ -52,7 +58,7 @@ class _Seen:
         self.outcome: Outcome | None = None
 
     def row(self) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in self.__slots__ if name != "outcome"}
+        return {name: getattr(self, name) for name in self.__slots__ if name not in _UNKEPT}
 
     @property
     def size(self) -> int:
@@ -60,10 +66,10 @@ class _Seen:
 
 
 class Keys:
-    """The first outcome of each key, by principal, for a day."""
+    """The first outcome of each key, by principal, for a day in which the gateway runs."""
 
     def __init__(self, store: Store, loop: asyncio.AbstractEventLoop, clock: Clock) -> None:
-        self._now = clock.now
+        self._now, self._monotonic = clock.now, clock.monotonic
         self._store = store
         self._loop = loop
         self._known: OrderedDict[str, _Seen] = OrderedDict()
@@ -78,7 +84,7 @@ class Keys:
         if request.idempotency_key is None:
             return None
         found = self._known.get(_name(session, request.idempotency_key, path))
-        if found is None or found.created < self._now() - _AGE:
+        if found is None or found.since < self._monotonic() - _AGE:
             return None
         if found.outcome is None:
             raise _unreadable(path)
@@ -95,7 +101,7 @@ class Keys:
         name = _name(session, request.idempotency_key, path)
         if name in self._known:
             self._drop(name)
-        seen = _Seen(_digest(request, path), self._now(), request.type, path)
+        seen = _Seen(_digest(request, path), self._now(), request.type, path, self._monotonic())
         seen.outcome = outcome
         if isinstance(outcome, Command):
             seen.command = outcome.id
@@ -134,17 +140,18 @@ class Keys:
         self._store.put(_TABLE, name, None)
 
     def _bound(self) -> None:
-        oldest = self._now() - _AGE
+        oldest = self._monotonic() - _AGE
         while len(self._known) > _KEPT or self._bytes > _BYTES:
             self._drop(next(iter(self._known)))
-        while self._known and self._known[next(iter(self._known))].created < oldest:
+        while self._known and self._known[next(iter(self._known))].since < oldest:
             self._drop(next(iter(self._known)))
 
     def load(self, command: Callable[[str], Command | None]) -> None:
         """Load the keys of earlier runs; `command` finds a command of the history."""
         rows = self._store.load(_TABLE, unreadable={})
-        found = [(name, _read(row)) for name, row in rows.items()]
+        found, since = [(name, _read(row)) for name, row in rows.items()], self._monotonic()
         for name, seen in sorted(found, key=lambda item: item[1].created):
+            seen.since = since
             self._known[name] = seen
             self._bytes += seen.size
             if not seen.digest:

@@ -21,12 +21,14 @@ class SteppedClock:
     def __init__(self) -> None:
         self.ahead = 0.0
         """Seconds that it was put forward in all."""
+        self.adjusted = 0.0
+        """Seconds by which its wall time alone was set forward (or back) in all."""
         self.clock = Clock(self.now, self.monotonic)
         """As a gateway takes it."""
 
     def now(self) -> int:
         """Return the wall time, ns since the UNIX epoch."""
-        return time.time_ns() + int(self.ahead * 1e9)
+        return time.time_ns() + int((self.ahead + self.adjusted) * 1e9)
 
     def monotonic(self) -> float:
         """Return the seconds since some moment."""
@@ -40,6 +42,10 @@ class SteppedClock:
         if seconds < 0:
             raise ValueError(f"a clock goes forward, not {seconds} s")
         self.ahead += seconds
+
+    def adjust(self, seconds: float) -> None:
+        """Set its wall time forward, or back if negative, as NTP or a person would."""
+        self.adjusted += seconds
 
 
 class SteppedLoop(asyncio.SelectorEventLoop):

@@ -90,7 +90,8 @@ class SessionResume:
                 log.warning("store_row_unreadable", table=_TABLE, error=str(error))
                 self._delete(name, [])
                 continue
-            left = (kept.cut or self.ended) + limit - self._now()
+            # No longer than that, though the clock was set back since.
+            left = min((kept.cut or self.ended) + limit - self._now(), limit)
             own = {key: row for key, row in subscriptions.items() if key.startswith(name)}
             if left <= 0:
                 self._delete(name, list(own))

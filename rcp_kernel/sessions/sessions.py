@@ -182,9 +182,10 @@ class Sessions:
         for command in self._commands.running.values():  # pending work of principals
             if (requester := command.asker) is not None:
                 principal = self._identities.renewed(requester.principal)
-                requester.rights = (
-                    Rights((), {}) if principal is None else self._rules.rights(principal)
-                )
+                if principal is None:
+                    requester.rights = Rights((), {})
+                else:
+                    requester.principal, requester.rights = principal, self._rules.rights(principal)
         shared = list(self._stateless.items())
         self._stateless.clear()
         self._accounting.recount()
