@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from kernel.world import Client, kept_in, world_of
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 DAY = 86_400.0

@@ -186,7 +186,7 @@ async def test_nor_after_a_restart_at_which_the_gateways_clock_was_set_back(
         await gateway.stop()
         await heard.until("disconnected")
         proxy.mute = None
-        monkeypatch.setattr("rcp_kernel.app.status.now", lambda: now() - 3_600 * 10**9)
+        monkeypatch.setattr("rcp_gateway.status.now", lambda: now() - 3_600 * 10**9)
         await gateway.start()
         with pytest.raises(ConnectionLost, match="is unknown whether"):
             await running

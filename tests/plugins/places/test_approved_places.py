@@ -12,9 +12,9 @@ import pytest
 
 from configuration import key, role, rule
 from plugins.places.test_places import CONFIG, MOVE, edit, served
+from rcp_gateway.testing import MemoryClient, ScriptedRobot
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.spi import Progress
-from rcp_kernel.testing import MemoryClient, ScriptedRobot
-from rcp_kernel.testing._serve import Served
 
 pytestmark = pytest.mark.anyio
 ASKER, GUARD = "asker-asker-asker", "guard-guard-guard"

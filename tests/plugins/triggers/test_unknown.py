@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from plugins.triggers.gateway import gateway
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 MOST = 50  # timers in so many turns of an idle gateway
