@@ -19,11 +19,11 @@ import httpx
 import msgspec
 import uvloop
 
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host
-from rcp_kernel.testing import ScriptedRobot, serve
 from rcp_kernel.types import Point, PoseStamped, Twist
 from rcpd.garbage import collected_at_rest
 

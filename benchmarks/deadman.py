@@ -15,9 +15,9 @@ from math import ceil
 import msgspec
 import uvloop
 
+from rcp_gateway.testing import OPERATOR, serve_backend
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend
-from rcp_kernel.testing import OPERATOR, serve_backend
 from rcp_kernel.types import Twist
 
 ROUNDS = 200

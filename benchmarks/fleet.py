@@ -39,7 +39,7 @@ def quiet() -> None:
     """Log nothing, and allow as many descriptors as the system does."""
     import logging
 
-    from rcp_kernel.app.log import configure
+    from rcp_gateway.log import configure
 
     configure("CRITICAL", "json")
     logging.disable(logging.CRITICAL)
@@ -125,7 +125,7 @@ class Robots:
 
     def make(self, host):
         """Make one."""
-        from rcp_kernel.testing import ScriptedRobot
+        from rcp_gateway.testing import ScriptedRobot
 
         halts = self.halts
 
@@ -145,9 +145,9 @@ class Robots:
 
 async def serve_robots(port: str, first: str, count: str) -> None:
     """Run gateways, and publish as the parent says."""
-    from rcp_kernel.app import plugins
+    from rcp_gateway import plugins
+    from rcp_gateway.testing import scripted, serve
     from rcp_kernel.config.file import parse
-    from rcp_kernel.testing import scripted, serve
     from rcpd.garbage import collected_at_rest
 
     # Each gateway would read the metadata of all packages five times.
@@ -192,7 +192,7 @@ class Hub:
     """The hub under load, and a client in its process."""
 
     def __init__(self, served, robots: int) -> None:
-        from rcp_kernel.testing import MemoryClient
+        from rcp_gateway.testing import MemoryClient
         from rcp_kernel.values import Encoding
 
         class Sink(MemoryClient):
@@ -315,8 +315,8 @@ class Hub:
 async def serve_hub(port: str, count: str) -> None:
     """Run the hub, and do as the parent says."""
     from rcp_fleet import rcp_backends
+    from rcp_gateway.testing import ScriptedRobot, scripted, serve
     from rcp_kernel.config.file import parse
-    from rcp_kernel.testing import ScriptedRobot, scripted, serve
     from rcpd.garbage import collected_at_rest
 
     robots = int(count)

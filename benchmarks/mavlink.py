@@ -138,9 +138,9 @@ async def floor() -> None:
 
 async def gateway() -> None:
     import rcp_mavlink
-    from rcp_kernel.app.log import configure
+    from rcp_gateway.log import configure
+    from rcp_gateway.testing import serve
     from rcp_kernel.config.file import parse
-    from rcp_kernel.testing import serve
 
     configure("error")
     text = f"""

@@ -15,8 +15,8 @@ import psutil
 import structlog
 
 import rcp_mujoco
-from rcp_kernel.testing import Served, eventually, serve_backend
-from rcp_kernel.testing._serve import OPERATOR
+from rcp_gateway.testing import Served, eventually, serve_backend
+from rcp_gateway.testing._serve import OPERATOR
 
 KIND = next(iter(rcp_mujoco.rcp_backends()))
 SETTLE, MEASURED = 2.0, 10.0  # s

@@ -20,8 +20,8 @@ import uvloop
 from mcap.reader import make_reader
 
 import rcp_recorder
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.types import PoseStamped, Twist, quantity
 from rcp_profiles.messages import BatteryState
 from rcpd.turns import take_short_turns

@@ -16,8 +16,8 @@ from types import SimpleNamespace
 import msgspec
 import psutil
 
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.server import Prepared, running
+from rcp_gateway.log import configure
+from rcp_gateway.server import Prepared, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend

@@ -1,1 +1,1 @@
-"""The kernel of the RCP gateway: registry, sessions, rules, commands, streams and status."""
+"""The kernel of the gateway: registry, sessions, rights, stops, and the extension points of plugins."""

@@ -95,13 +95,14 @@ class TokenFile:
         digest = hashlib.sha256(key.encode()).hexdigest()  # as `sha256` in `[[keys]]`
         token = Token(id_, name, digest, grants, now(), expires, None)
         with self._base:
-            self._base.execute(
-                "DELETE FROM tokens WHERE coalesce(revoked, expires, ?) < ?",
-                (token.created, token.created - _FORGET),
-            )
+            # First: the number must grow, whatever is deleted, or a gateway sees no change.
             self._base.execute(
                 f"INSERT INTO tokens VALUES (?, ?, ?, ?, ?, ?, NULL, {_NEXT})",  # noqa: S608 - a constant
                 (id_, name, token.hash, msgspec.msgpack.encode(grants), token.created, expires),
+            )
+            self._base.execute(
+                "DELETE FROM tokens WHERE coalesce(revoked, expires, ?) < ? AND id != ?",
+                (token.created, token.created - _FORGET, id_),
             )
         return token, key
 

@@ -10,8 +10,8 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rcp_kernel.app.plugins import installed
-from rcp_kernel.app.server import Server
+from rcp_gateway.plugins import installed
+from rcp_gateway.server import Server
 from rcpd.installed import obstacle
 
 __all__ = ["Demo", "token_file"]

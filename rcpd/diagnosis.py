@@ -9,9 +9,9 @@ from typing import Any
 
 import msgspec
 
+from rcp_gateway.plugins import GROUPS, Plugins, installed
+from rcp_gateway.server import Prepared, prepare
 from rcp_kernel.access.identities import check_proofs
-from rcp_kernel.app.plugins import GROUPS, Plugins, installed
-from rcp_kernel.app.server import Prepared, prepare
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
 from rcp_kernel.errors import ConfigError, StartupError

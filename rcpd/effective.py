@@ -11,7 +11,7 @@ from typing import Any, cast
 import click
 import msgspec
 
-from rcp_kernel.app.server import Prepared
+from rcp_gateway.server import Prepared
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS
 from rcp_protocol.plain import is_list, is_map
 from rcp_toml.variables import is_dear

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from rcp_kernel.app.plugins import installed
+from rcp_gateway.plugins import installed
 from rcp_kernel.errors import ConfigError
 from rcpd.exits import fail
 from rcpd.installed import obstacle

@@ -6,7 +6,7 @@ import importlib
 from contextlib import suppress
 from importlib.metadata import EntryPoint
 
-from rcp_kernel.app.plugins import (
+from rcp_gateway.plugins import (
     GROUPS,
     collect,
     import_remedy,

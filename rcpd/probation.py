@@ -11,8 +11,8 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.app.reload import needs_restart, prepare_reload
-from rcp_kernel.app.server import Prepared, Server, prepare
+from rcp_gateway.reload import needs_restart, prepare_reload
+from rcp_gateway.server import Prepared, Server, prepare
 from rcp_kernel.clock import SYSTEM_CLOCK, iso
 from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.errors import (

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import structlog
 
-from rcp_kernel.app.reload import apply, needs_restart, prepare_reload
-from rcp_kernel.app.server import Server
+from rcp_gateway.reload import apply, needs_restart, prepare_reload
+from rcp_gateway.server import Server
 from rcp_kernel.config.file import load
 from rcp_kernel.errors import StartupError
 from rcpd.diagnosis import explained

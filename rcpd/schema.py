@@ -9,7 +9,7 @@ from typing import Any
 import click
 import msgspec
 
-from rcp_kernel.app.plugins import GROUPS, installed
+from rcp_gateway.plugins import GROUPS, installed
 from rcp_kernel.config.file import KERNEL_KEYS, BackendConfig, GatewayConfig
 from rcp_protocol.plain import is_list, is_map
 

@@ -13,8 +13,8 @@ from typing import NoReturn
 
 import click
 
-from rcp_kernel.app.log import Recent, configure
-from rcp_kernel.app.server import Prepared, Server, prepare, running
+from rcp_gateway.log import Recent, configure
+from rcp_gateway.server import Prepared, Server, prepare, running
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import StartupError
 from rcp_kernel.features.configuration import SERVED_CONFIGURATION

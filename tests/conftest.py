@@ -23,8 +23,8 @@ from hypothesis import settings
 import ahead  # noqa: F401 - first of ours: its clocks are there before anybody keeps one
 from failures import LISTED, Failure, failure, keep, note
 from pairs import left_out
+from rcp_gateway.testing import SteppedClock, SteppedLoop
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
-from rcp_kernel.testing import SteppedClock, SteppedLoop
 from scheduling import PROCESSES, Scheduling
 
 _under_way: set[str] = set()

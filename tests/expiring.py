@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import msgspec
 
-from rcp_kernel.app.server import Server
+from rcp_gateway.server import Server
 from rcp_kernel.config.identity import KeyConfig
 
 __all__ = ["brief_key"]

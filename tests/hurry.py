@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from ahead import AHEAD, machine_time
-from rcp_kernel.testing import UnguardedLoop
+from rcp_gateway.testing import UnguardedLoop
 
 __all__ = ["HURRIED", "Hurried", "HurriedLoop"]
 

@@ -18,12 +18,12 @@ from pathlib import Path
 import msgspec
 
 from configuration import backend, listener, table
-from rcp_kernel.app import server
-from rcp_kernel.app.log import configure
+from rcp_gateway import server
+from rcp_gateway.log import configure
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host
-from rcp_kernel.testing import serve
 from rcp_kernel.types import quantity
 
 __all__ = ["PATH", "LateGateway"]

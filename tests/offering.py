@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint, EntryPoints, entry_points
 
 import pytest
 
-from rcp_kernel.app import plugins
+from rcp_gateway import plugins
 
 __all__ = ["offer", "withhold"]
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from rcp_kernel.testing import StopSuite
-from rcp_kernel.testing.stop import SCOPES
-from rcp_kernel.testing.stop._situations import SITUATIONS
+from rcp_gateway.testing import StopSuite
+from rcp_gateway.testing.stop import SCOPES
+from rcp_gateway.testing.stop._situations import SITUATIONS
 
 __all__ = ["left_out"]
 

@@ -7,7 +7,7 @@ import logging
 import structlog
 from structlog.testing import capture_logs
 
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
 
 
 def test_a_gateway_logs_nothing_but_what_is_critical() -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from rcp_clients.backend import ClientsBackend, open_clients
 from rcp_clients.config import ClientsConfig
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 
 __all__ = ["CLIENTS", "ClientsBackend", "ClientsConfig", "open_clients", "rcp_backends"]

@@ -9,7 +9,7 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
 from rcp_fleet.config import FleetConfig, check_hub
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import Backend, BackendKind, Host
 
 __all__ = ["FleetConfig", "open_fleet", "rcp_backends"]

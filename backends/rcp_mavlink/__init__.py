@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_mavlink.backend import MavlinkBackend, open_mavlink
 from rcp_mavlink.config import MavlinkConfig, TwinConfig

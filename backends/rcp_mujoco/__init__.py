@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_mujoco.config import MujocoConfig
 

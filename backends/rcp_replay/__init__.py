@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_replay.config import ReplayConfig, check
 from rcp_replay.messages import ReplayRequest, ReplayState

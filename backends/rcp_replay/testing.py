@@ -10,8 +10,8 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+from rcp_gateway.testing import ADMIN, MemoryClient, Served, serve
 from rcp_kernel.clock import parse_time
-from rcp_kernel.testing import ADMIN, MemoryClient, Served, serve
 from rcp_replay import rcp_backends
 from rcp_replay.backend import ReplayBackend
 

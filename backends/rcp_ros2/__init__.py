@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_ros2.backend import Ros2Backend, open_ros2
 from rcp_ros2.config import Mapping, Qos, Ros2Config

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_sim.backend import SimBackend, open_sim
 from rcp_sim.config import SimConfig

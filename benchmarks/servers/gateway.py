@@ -18,8 +18,8 @@ import msgspec
 import uvloop
 from source import UPDATE
 
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.server import Prepared, prepare, running
+from rcp_gateway.log import configure
+from rcp_gateway.server import Prepared, prepare, running
 from rcp_kernel.config.file import BackendConfig, parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend

@@ -10,9 +10,9 @@ from importlib import import_module
 from typing import Any
 
 from rcp_a2a.config import A2aConfig
-from rcp_kernel.client_api import ClientApi
-from rcp_kernel.client_kinds import AdapterKind
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.client_api import ClientApi
+from rcp_gateway.client_kinds import AdapterKind
+from rcp_gateway.hookspecs import hookimpl
 
 __all__ = ["A2aConfig", "open_a2a", "rcp_adapters"]
 

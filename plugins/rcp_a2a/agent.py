@@ -15,7 +15,7 @@ from rcp_a2a.messages import parse_message, stamp
 from rcp_a2a.receipts import key_of
 from rcp_a2a.run import Run
 from rcp_a2a.waiting import WaitingTasks
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 
 __all__ = ["Agent"]
 

@@ -24,8 +24,8 @@ from rcp_a2a.messages import VALUES, count_values
 from rcp_a2a.places import CARD, JWKS, Place, place_of
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, Trouble, refuse, trouble_of
 from rcp_a2a.stops import SHORT, as_request
-from rcp_kernel.api import Session, to_internal_error
-from rcp_kernel.client_api import Asgi, ClientApi
+from rcp_gateway.api import Session, to_internal_error
+from rcp_gateway.client_api import Asgi, ClientApi
 from rcp_kernel.errors import BadRequest, Forbidden, PayloadTooLarge, RateLimited, RcpError
 from rcp_web.asgi import (
     Receive,

@@ -21,7 +21,7 @@ from rcp_a2a.push import Notifier, Subscribers
 from rcp_a2a.receipts import Receipts
 from rcp_a2a.tasks import Tasks
 from rcp_a2a.waiting import WaitingTasks
-from rcp_kernel.client_api import ClientApi, Mount
+from rcp_gateway.client_api import ClientApi, Mount
 
 __all__ = ["serving"]
 

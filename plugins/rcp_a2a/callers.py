@@ -16,7 +16,7 @@ from a2a.types.a2a_pb2 import SendMessageRequest, Task
 from a2a.utils.constants import VERSION_HEADER
 from starlette.requests import Request
 
-from rcp_kernel.api import Principal, Session
+from rcp_gateway.api import Principal, Session
 
 __all__ = [
     "CALLER",

@@ -31,8 +31,8 @@ from rcp_a2a.places import JWKS, PREFIX, Place
 from rcp_a2a.refusals import NOT_FOUND, NOT_TAKEN, refuse
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
-from rcp_kernel.api import Session, SharedWork, at_once, gateway_version
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session, SharedWork, at_once, gateway_version
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, Unauthenticated
 from rcp_web.asgi import JSON, Headers, Scope, Send, header, respond
 from rcp_web.untrusted import TextMarker

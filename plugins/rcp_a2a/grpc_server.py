@@ -28,8 +28,8 @@ from rcp_a2a.callers import Caller, context_of
 from rcp_a2a.config import GrpcConfig
 from rcp_a2a.messages import VALUES, count_values, parse_message
 from rcp_a2a.stops import PLANS, SHORT
-from rcp_kernel.api import Session, to_internal_error
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session, to_internal_error
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import ConfigError, PayloadTooLarge, RateLimited, RcpError
 from rcp_kernel.wire import Request
 from rcp_web.asgi import bearer

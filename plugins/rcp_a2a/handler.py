@@ -34,7 +34,7 @@ from rcp_a2a.masking import Mask
 from rcp_a2a.messages import check, check_fields
 from rcp_a2a.receipts import Receipts
 from rcp_a2a.tasks import ENDED, WAITING
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 
 __all__ = ["Handler"]
 

@@ -16,8 +16,8 @@ from a2a.types.a2a_pb2 import (
 )
 from google.protobuf.json_format import MessageToDict
 
-from rcp_kernel.api import TOUCHES_EVERYTHING, Session, names_in
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import TOUCHES_EVERYTHING, Session, names_in
+from rcp_gateway.client_api import ClientApi
 
 __all__ = ["Mask"]
 

@@ -24,7 +24,7 @@ from google.protobuf.message import DecodeError
 from rcp_a2a.addresses import Addresses, Unfit, Unknown
 from rcp_a2a.callers import owner_of
 from rcp_a2a.config import PushConfig
-from rcp_kernel.api import PluginStore
+from rcp_gateway.api import PluginStore
 from rcp_kernel.errors import ConfigError
 
 __all__ = ["Notifier", "Subscribers"]

@@ -13,7 +13,7 @@ import structlog
 from a2a.types.a2a_pb2 import SendMessageRequest, Task
 from a2a.utils.errors import InvalidParamsError, UnsupportedOperationError
 
-from rcp_kernel.api import PluginStore
+from rcp_gateway.api import PluginStore
 
 __all__ = ["Receipt", "Receipts", "key_of"]
 

@@ -28,8 +28,8 @@ from rcp_a2a.questions import (
 from rcp_a2a.reports import Reports, is_progress, step_of
 from rcp_a2a.stops import PLANS
 from rcp_a2a.waiting import Pending, WaitingTasks
-from rcp_kernel.api import Query, QueuedRequest, Session, at_once
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Query, QueuedRequest, Session, at_once
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.wire import Reply, Request

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 from a2a.types.a2a_pb2 import AgentSkill
 
-from rcp_kernel.api import Query, Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Query, Session
+from rcp_gateway.client_api import ClientApi
 from rcp_web.untrusted import TextMarker, speaks
 
 __all__ = ["PLAN", "ROBOTS", "STOP", "skills_of"]

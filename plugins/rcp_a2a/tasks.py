@@ -22,7 +22,7 @@ from google.protobuf.message import DecodeError
 from rcp_a2a.callers import owner_of
 from rcp_a2a.config import A2aConfig
 from rcp_a2a.messages import stamp
-from rcp_kernel.api import PluginStore
+from rcp_gateway.api import PluginStore
 from rcp_kernel.clock import now
 
 __all__ = ["ENDED", "WAITING", "Tasks"]

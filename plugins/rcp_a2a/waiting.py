@@ -9,7 +9,7 @@ import structlog
 
 from rcp_a2a.messages import TaskRequest
 from rcp_a2a.questions import Question
-from rcp_kernel.api import PluginStore
+from rcp_gateway.api import PluginStore
 
 __all__ = ["Pending", "WaitingTasks"]
 

@@ -10,9 +10,9 @@ from rcp_approvals.guard import ApprovalGuard
 from rcp_approvals.question import ApprovalRequest, ApprovalState
 from rcp_approvals.questions import Questions
 from rcp_approvals.service import Approvals
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.features.approval import APPROVALS
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 
 __all__ = ["ApprovalRequest", "ApprovalState", "ApprovalsConfig", "rcp_features"]

@@ -9,6 +9,7 @@ import msgspec
 from rcp_approvals.question import PATH, ApprovalRequest, ApprovalState, Question
 from rcp_approvals.questions import Questions
 from rcp_kernel.contract.digest import bounded, hashed
+from rcp_kernel.contract.identity import same
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.features.approval import Decision
@@ -39,7 +40,7 @@ class Decisions:
         :raises Forbidden: it may not decide, or the approval is no longer pending.
         """
         found = self._find(session, decision.id)
-        if session.principal.identity == found.requester:
+        if same(session.principal, found.asker):  # also by another of their credentials
             raise Forbidden(
                 "you cannot approve your own command",
                 path=PATH,
@@ -60,7 +61,7 @@ class Decisions:
         """
         session.charge()
         found = self._find(session, id_)
-        own = session.principal.identity == found.requester
+        own = same(session.principal, found.asker)
         rights = session.rights
         if own and decision == "approve" and not all(map(rights.may_approve_own, found.tenants)):
             raise Forbidden(

@@ -57,28 +57,38 @@ class Question:
     """An approval as the gateway stores it."""
 
     state: ApprovalState
-    requester: tuple[str, str]
-    """Identity of the requester."""
+    asker: Principal
     seen: tuple[str, ...]
     """Paths that must be visible to whoever decides."""
     tenants: frozenset[str]
-    expires: int
+    until: float
+    """When it expires, by `monotonic`: a clock that is set back must not prolong it."""
     digest: bytes
     """Digest of this command by this principal."""
-    now: Callable[[], int]
-    """The gateway's wall time."""
+    monotonic: Callable[[], float]
+    """The gateway's `Clock.monotonic`."""
+
+    @property
+    def requester(self) -> tuple[str, str]:
+        """Identity of the requester."""
+        return self.asker.identity
+
+    @property
+    def over(self) -> bool:
+        """Whether its time has passed."""
+        return self.until <= self.monotonic()
 
     @property
     def status(self) -> _Status:
         """The current status."""
-        if self.state.status in ("pending", "approved") and self.expires <= self.now():
+        if self.state.status in ("pending", "approved") and self.over:
             self.state.status = "expired"
         return self.state.status
 
     @property
     def holds(self) -> bool:
         """Whether the same command can still use this approval."""
-        return self.status in ("pending", "approved", "rejected") and self.expires > self.now()
+        return self.status in ("pending", "approved", "rejected") and not self.over
 
 
 def digest_of(principal: Principal, type_: str, path: str, value: Any) -> bytes:

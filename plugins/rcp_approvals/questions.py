@@ -34,7 +34,7 @@ class Questions:
     def __init__(self, config: ApprovalsConfig, host: FeatureHost) -> None:
         self.config = config
         self._host = host
-        self._now = host.clock.now
+        self._clock = host.clock
         self.known: dict[str, Question] = {}
         """By id, oldest first."""
 
@@ -106,24 +106,24 @@ class Questions:
         digest: bytes,
     ) -> Question:
         self._make_room(session.principal)
-        moment = self._now()
-        expires = moment + int(self.config.ttl * 1e9)
+        moment, clock, ttl = self._clock.now(), self._clock, self.config.ttl
         state = ApprovalState(
             approval=ID + secrets.token_hex(8),
             request="write" if request.type == "write" else "execute",
             path=entry.path,
             principal=session.principal.name,
             asked=iso(moment),
-            expires=iso(expires),
+            expires=iso(moment + int(ttl * 1e9)),
             value=shown(value),
             steps=about.steps,
         )
         tenants = frozenset(tenant_of(path) or "" for path in about.paths)
+        until = clock.monotonic() + ttl
         question = Question(
-            state, session.principal.identity, about.seen, tenants, expires, digest, self._now
+            state, session.principal, about.seen, tenants, until, digest, clock.monotonic
         )
         self.known[state.approval] = question
-        self._host.loop.call_later(self.config.ttl + 0.01, self.changed)
+        self._host.loop.call_later(ttl + 0.01, self.changed)
         self.changed()
         return question
 
@@ -132,7 +132,6 @@ class Questions:
 
         :raises QueueFull: too many are pending.
         """
-        moment = self._now()
         own = [q for q in self.known.values() if q.requester == principal.identity]
         if sum(q.status == "pending" for q in own) >= _EACH:
             raise QueueFull(
@@ -141,16 +140,15 @@ class Questions:
             )
         if len(self.known) >= _ALL:
             self._drop()
-        for over in [q for q in own if q.expires <= moment][:-_EACH]:
+        for over in [q for q in own if q.over][:-_EACH]:
             del self.known[over.state.approval]
 
     def _drop(self) -> None:
         """Remove the oldest approval: a finished one, or one of the tenants with the most."""
-        moment = self._now()
         counts = Counter(question.tenants for question in self.known.values())
         most = max(counts, key=lambda tenants: counts[tenants])
         every = self.known.items()
-        over = next((id_ for id_, q in every if q.expires <= moment), None)
+        over = next((id_ for id_, q in every if q.over), None)
         del self.known[over or next(id_ for id_, q in every if q.tenants == most)]
 
     def _use(self, session: Session, request: Request, id_: str, digest: bytes, path: str) -> None:

@@ -11,11 +11,11 @@ from rcp_audit.config import AuditConfig, AuditTables, from_gateway
 from rcp_audit.disclosure import Disclosure
 from rcp_audit.log import HISTORY, AuditLog
 from rcp_audit.replies import DelayedReplies
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.contract.metrics import gauge
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.features.feature import StatusPart
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Resource
 
 __all__ = ["AuditConfig", "rcp_features"]

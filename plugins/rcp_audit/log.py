@@ -107,11 +107,13 @@ class AuditLog:
 
     def _start(self, event: Event) -> None:
         """Record the start of the gateway, with the head that the previous run left behind."""
+        last: str | None = None
         for record in self._ledger.past(HISTORY):
             self._host.publish(PATH, record)
+            last = str(record.get("time"))
         left = self._ledger.left
         self._record("start", event, head=left and written(left))
-        self.retention.start()
+        self.retention.start(last)
 
     def _record(self, what: str, event: Event, **more: Any) -> bool:
         touches = None if event.touches is None else bounded_touches(event.touches)

@@ -4,37 +4,70 @@ from __future__ import annotations
 
 import asyncio
 import sqlite3
+from contextlib import suppress
 from typing import Any
 
 import msgspec
+import structlog
 
 from rcp_audit.config import AuditConfig
 from rcp_kernel.clock import parse_time
+from rcp_kernel.errors import BadRequest
 from rcp_kernel.features import FeatureHost
 from rcp_store.chain import Head
 from rcp_store.file import ROWS
 
 __all__ = ["Retention"]
 
+log = structlog.get_logger("rcp.audit")
 _LOOK = 60.0  # s between checks
 _AT_ONCE = 10_000  # records deleted in one transaction
 _SLACK = 0.05  # tolerated excess of age or size, so that deletions are rare
 _DAY = 86_400 * 10**9  # ns
+_WAIT = 86_400.0  # s that a clock has to go on after it went ahead by more than that
 
 
 class Retention:
-    """Checks the age and size of the log periodically."""
+    """Checks the age and size of the log periodically.
+
+    Nothing is deleted for its age while the clock may be wrong: after it went ahead, while the gateway
+    ran or since the last record before, it has to go on like that for a day. If it is set back, nothing
+    was lost.
+    """
 
     def __init__(self, host: FeatureHost, config: AuditConfig) -> None:
         self._host = host
         self.config = config
         self._timer: asyncio.TimerHandle | None = None
         self._stopped = False
+        self._seen: tuple[int, float] | None = None
+        """Wall time at the last check, and the monotonic time then."""
+        self._trusted = 0.0
+        """The monotonic time from which on the clock tells the age of records."""
 
-    def start(self) -> None:
-        """Check now, then periodically."""
+    def start(self, last: str | None = None) -> None:
+        """Check now, then periodically; `last` is the time of the last record of an earlier run."""
+        if last is not None:
+            with suppress(BadRequest):
+                self._seen = parse_time(last), self._host.clock.monotonic()
+        self._check()
+
+    def _check(self) -> None:
         self._timer = None
+        self._watch_clock()
         self._host.ledger.look(self._surplus, self._delete)
+
+    def _watch_clock(self) -> None:
+        wall, moment = self._host.clock.now(), self._host.clock.monotonic()
+        before, self._seen = self._seen, (wall, moment)
+        if before is None:
+            return
+        ahead = (wall - before[0]) / 1e9 - (moment - before[1])
+        if ahead < -_WAIT:
+            self._trusted = 0.0
+        elif ahead > _WAIT and self.config.keep_days is not None:
+            self._trusted = moment + min(_WAIT, self.config.keep_days * _WAIT)
+            log.warning("audit_clock_ahead", seconds=round(ahead), waits=_WAIT)
 
     def stop(self) -> None:
         """Stop checking."""
@@ -56,7 +89,7 @@ class Retention:
 
     def _too_old(self, base: sqlite3.Connection, first: int, last: int) -> int:
         days = self.config.keep_days
-        if days is None:
+        if days is None or self._host.clock.monotonic() < self._trusted:
             return 0
         limit = self._host.clock.now() - int(days * _DAY)
         if _time(base, first) > limit - int(days * _DAY * _SLACK):
@@ -88,13 +121,13 @@ class Retention:
         if self._stopped:
             return
         if gone is None:
-            self._timer = self._host.loop.call_later(_LOOK, self.start)
+            self._timer = self._host.loop.call_later(_LOOK, self._check)
             return
         seq, digest = gone
         # In one transaction: the chain begins after the head named in the `prune` record.
         self._host.ledger.prune(gone)
         self._host.note("prune", principal=None, to=seq, hash=digest.hex())
-        self.start()
+        self._check()
 
 
 def _time(base: sqlite3.Connection, seq: int) -> int:

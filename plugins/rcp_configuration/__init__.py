@@ -12,11 +12,11 @@ from rcp_configuration.service import (
     ConfigurationService,
     ConfigurationState,
 )
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.config.role import HUB, Rule
 from rcp_kernel.contract.events import Event
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.features.configuration import SERVED_CONFIGURATION
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 
 __all__ = ["ConfigurationRequest", "ConfigurationState", "rcp_features"]

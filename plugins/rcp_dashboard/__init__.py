@@ -7,9 +7,9 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from rcp_dashboard.config import DashboardConfig
-from rcp_kernel.client_api import ClientApi, Mount
-from rcp_kernel.client_kinds import AdapterKind
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.client_api import ClientApi, Mount
+from rcp_gateway.client_kinds import AdapterKind
+from rcp_gateway.hookspecs import hookimpl
 
 __all__ = ["DashboardConfig", "open_dashboard", "rcp_adapters"]
 

@@ -14,8 +14,8 @@ from rcp_dashboard.past import Past
 from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.schemas import CAMERA, LATEST, PANELS, PAST, SERIES, STREAM, answer
 from rcp_dashboard.telemetry import Telemetry
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_web.application import Application, Asked, response, scope_of
 from rcp_web.asgi import Headers, Scope

@@ -15,8 +15,8 @@ from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.picture import Picture, picture
 from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.watchers import checked
-from rcp_kernel.api import Connection
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Connection
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.values import Encoding

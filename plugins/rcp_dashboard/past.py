@@ -6,7 +6,7 @@ from contextlib import aclosing
 from typing import Any, cast
 
 from rcp_dashboard.request import DashboardRequest
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, NotImplementedByRobot
 from rcp_web.downloads import RECORDINGS
 

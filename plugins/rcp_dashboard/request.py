@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TypeVar
 
-from rcp_kernel.api import Peer, Principal, Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Peer, Principal, Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import BadRequest
 from rcp_web.asgi import Scope, bearer, header, peer_of

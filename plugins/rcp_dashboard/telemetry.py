@@ -10,7 +10,7 @@ from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.downsample import METHODS
 from rcp_dashboard.request import DashboardRequest
 from rcp_dashboard.watchers import Watchers, checked
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.clock import iso, now, parse_time
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.values import Encoding, dump

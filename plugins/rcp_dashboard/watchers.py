@@ -15,8 +15,8 @@ from msgspec import Raw
 
 from rcp_dashboard.config import DashboardConfig
 from rcp_dashboard.ring import Ring
-from rcp_kernel.api import Field, Peer, Principal
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Field, Peer, Principal
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import BY_CODE, QueueFull, RcpError
 from rcp_kernel.values import Encoding

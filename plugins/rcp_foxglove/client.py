@@ -19,8 +19,8 @@ from rcp_foxglove.statuses import Statuses, refusal_text
 from rcp_foxglove.subscriptions import Subscriptions
 from rcp_foxglove.view_sender import ViewSender
 from rcp_foxglove.views import View, Views
-from rcp_kernel.api import Peer, Principal, to_internal_error
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Peer, Principal, to_internal_error
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError
 from rcp_kernel.values import Encoding
 from rcp_web.socket import NativeSocket

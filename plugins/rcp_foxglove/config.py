@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.api import check_pattern
+from rcp_gateway.api import check_pattern
 
 __all__ = ["FoxgloveConfig", "check"]
 

@@ -12,8 +12,8 @@ from rcp_foxglove.client import FoxgloveClient
 from rcp_foxglove.config import FoxgloveConfig, check
 from rcp_foxglove.server_info import ServerInfo
 from rcp_foxglove.views import Views
-from rcp_kernel.api import Peer, Principal
-from rcp_kernel.client_api import ClientApi, Mount
+from rcp_gateway.api import Peer, Principal
+from rcp_gateway.client_api import ClientApi, Mount
 from rcp_kernel.clock import now
 from rcp_kernel.errors import BadRequest, RcpError
 from rcp_web.asgi import Receive, Scope, Send, bearer, header, peer_of, refuse

@@ -14,7 +14,7 @@ from rcp_foxglove.renderings import of_parameter
 from rcp_foxglove.requests import Requests
 from rcp_foxglove.statuses import WARNING, Statuses, refusal_text
 from rcp_foxglove.views import View
-from rcp_kernel.api import Connection
+from rcp_gateway.api import Connection
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_body
 

@@ -14,7 +14,7 @@ from rcp_foxglove.frames import Control, playback_state, time_frame
 from rcp_foxglove.requests import Requests
 from rcp_foxglove.statuses import WARNING, Statuses, refusal_text
 from rcp_foxglove.views import Replay, View
-from rcp_kernel.api import Connection, Rendering, Sample
+from rcp_gateway.api import Connection, Rendering, Sample
 from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.values import Encoding

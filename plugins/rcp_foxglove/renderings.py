@@ -14,7 +14,7 @@ import msgspec
 
 from rcp_foxglove.frames import message_head
 from rcp_foxglove_types import with_fields
-from rcp_kernel.api import Rendering, Sample
+from rcp_gateway.api import Rendering, Sample
 from rcp_kernel.errors import Overrun, RcpError
 from rcp_kernel.values import Encoding
 

@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.api import LONG_MESSAGE, Connection, check_structure
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import LONG_MESSAGE, Connection, check_structure
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, InvalidValue, PayloadTooLarge, RcpError
 from rcp_kernel.model import NativeType
 from rcp_kernel.values import Encoding

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from rcp_foxglove.playback import Playback
-from rcp_kernel.api import gateway_version
+from rcp_gateway.api import gateway_version
 
 __all__ = ["ServerInfo"]
 

@@ -12,8 +12,8 @@ from rcp_foxglove.operations import Wish
 from rcp_foxglove.renderings import of_subscription
 from rcp_foxglove.statuses import ERROR, WARNING, Statuses, refusal_text
 from rcp_foxglove.views import View
-from rcp_kernel.api import Connection
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Connection
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Subscriptions"]

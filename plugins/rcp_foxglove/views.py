@@ -17,8 +17,8 @@ from rcp_foxglove.offers import (
     channel_of,
     service_of,
 )
-from rcp_kernel.api import Query, Rights, Session, SharedWork
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Query, Rights, Session, SharedWork
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.model import NativeType, Pattern, tenant_of
 
 __all__ = ["ESTOP", "Replay", "View", "Views"]

@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 
 from rcp_frames.config import FramesConfig, Origin, check
 from rcp_frames.converter import Frames
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
-from rcp_kernel.hookspecs import hookimpl
 
 __all__ = ["FramesConfig", "Origin", "rcp_features"]
 

@@ -6,14 +6,11 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
-from rcp_frames.feeds import RemoteFeed
 from rcp_frames.goal_schema import Schema, resolved
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import InvalidValue, RcpError
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import Backend, Encoded, FrameWatch
-from rcp_kernel.streams.outbox import Outbox
-from rcp_kernel.streams.path_subscription import Subscriber
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType
@@ -76,10 +73,6 @@ class RemoteView:
         """Return the sample, which came converted; raises as `check`, at each one."""
         self.check()
         return sample
-
-    def feed(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> RemoteFeed:
-        """Create the feed of a subscription."""
-        return RemoteFeed(subscription, entry, outbox, self)
 
     def _unknown(self) -> InvalidValue:
         return InvalidValue(

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_gateway.client_kinds import AdapterKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_ground_stations.config import GroundStationsConfig
-from rcp_kernel.client_kinds import AdapterKind
-from rcp_kernel.hookspecs import hookimpl
 
 __all__ = ["GroundStationsConfig", "rcp_adapters"]
 

@@ -11,10 +11,10 @@ from typing import Any
 import msgspec
 import structlog
 
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_ground_stations.answers import Refusal
 from rcp_ground_stations.config import StationConfig
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
 from rcp_mavlink.forwarding import asks_only

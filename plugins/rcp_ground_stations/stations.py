@@ -10,11 +10,11 @@ from typing import Any
 import msgspec
 import structlog
 
+from rcp_gateway.api import Connection
+from rcp_gateway.client_api import ClientApi
 from rcp_ground_stations.answers import Answers, Refusal
 from rcp_ground_stations.config import GroundStationsConfig, StationConfig
 from rcp_ground_stations.pilot import Pilot
-from rcp_kernel.api import Connection
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError
 from rcp_kernel.values import Encoding
 from rcp_mavlink.dialect import Dialect, dialect

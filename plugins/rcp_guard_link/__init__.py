@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_guard_link.arming import GuardArming
 from rcp_guard_link.link import GuardLink
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
-from rcp_kernel.hookspecs import hookimpl
 
 __all__ = ["rcp_features"]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_hubs.authenticator import HubAuthenticator
 from rcp_hubs.config import HubConfig, HubTables, check_tables, table_of
 from rcp_hubs.revocation import REVOCATIONS
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
-from rcp_kernel.hookspecs import hookimpl
 
 __all__ = ["HubConfig", "rcp_features"]
 

@@ -240,8 +240,8 @@ def _authority(certificate: str, key: str) -> CertificateSigner:
 @click.option("--code", prompt=True, help="From `rcpd fleet invite`.")
 def enroll(address: str, *, config: Path, folder: Path, code: str) -> None:
     """Join this robot's gateway to a fleet by a one-time code of `rcpd fleet invite`."""
+    from rcp_gateway.server import prepare
     from rcp_hubs.enrolment import EnrolmentError, enrol
-    from rcp_kernel.app.server import prepare
     from rcp_kernel.config.file import load
 
     host, _, port = address.rpartition(":")

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_inventory.config import InventoryConfig
 from rcp_inventory.control import Controllers
 from rcp_inventory.fleet import Fleet
@@ -14,7 +15,6 @@ from rcp_inventory.messages import Control, FactSheet, Reading, RobotState
 from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.events import Event
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Resource
 from rcp_kernel.sessions.command import Command, Record
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_jwt.authenticator import JwtAuthenticator
 from rcp_jwt.code_flow import CodeFlow
 from rcp_jwt.config import JwtConfig, JwtTables, check_tables
 from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
-from rcp_kernel.hookspecs import hookimpl
 from rcp_web.oidc import OIDC
 
 __all__ = ["JwtConfig", "rcp_features"]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.config.role import Rule
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_layouts.config import LayoutsConfig
 from rcp_layouts.layouts import PATH, SHARED, Layouts

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.config.role import Rule
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_logins.authenticator import LoginAuthenticator
 from rcp_logins.config import LoginsConfig

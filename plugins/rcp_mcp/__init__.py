@@ -8,9 +8,9 @@ from contextlib import asynccontextmanager
 from importlib import import_module
 from typing import Any
 
-from rcp_kernel.client_api import ClientApi
-from rcp_kernel.client_kinds import AdapterKind
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.client_api import ClientApi
+from rcp_gateway.client_kinds import AdapterKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_mcp.config import McpConfig
 
 __all__ = ["McpConfig", "rcp_adapters"]

@@ -12,8 +12,8 @@ from typing import Any
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import ApprovalRequired, Forbidden
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.model import tenant_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, cast
 
-from rcp_kernel.api import Session
+from rcp_gateway.api import Session
 from rcp_mcp.offers import Context
 
 __all__ = ["SESSION", "TASKS", "asks_people", "modern", "session_of", "takes_tasks"]

@@ -8,8 +8,8 @@ from weakref import WeakKeyDictionary
 
 from mcp import types
 
-from rcp_kernel.api import Query, Rights, Session, SharedWork, at_once
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Query, Rights, Session, SharedWork, at_once
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.model import Pattern, tenant_of
 from rcp_mcp.config import McpConfig
 from rcp_mcp.fixed import PLANS

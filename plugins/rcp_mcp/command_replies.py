@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.wire import Reply, Request
 
 __all__ = ["Following", "Report"]

@@ -9,8 +9,8 @@ import msgspec
 from mcp import types
 from msgspec import Meta, Raw
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, RcpError
 from rcp_kernel.model import parse_path
 from rcp_kernel.values import value_type

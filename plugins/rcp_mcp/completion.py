@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 from mcp import types
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.model import tenant_of
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import body_of

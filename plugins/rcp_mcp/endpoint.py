@@ -17,8 +17,8 @@ from mcp.server.auth.provider import AccessToken
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.server.transport_security import RequestBodyLimitMiddleware
 
-from rcp_kernel.api import LONG_MESSAGE, Session, check_structure, to_internal_error
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import LONG_MESSAGE, Session, check_structure, to_internal_error
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import PayloadTooLarge, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import error_body

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
 
 if TYPE_CHECKING:
-    from rcp_kernel.api import Sample
+    from rcp_gateway.api import Sample
 
 __all__ = ["ResourceFeed"]
 

@@ -15,7 +15,7 @@ from mcp.server.streamable_http import EventCallback, EventId, EventMessage, Eve
 from mcp.server.streamable_http_manager import StreamableHTTPSessionManager
 from mcp.types import JSONRPCMessage
 
-from rcp_kernel.api import Backlog, Outbound
+from rcp_gateway.api import Backlog, Outbound
 
 __all__ = ["Journal", "Manager"]
 

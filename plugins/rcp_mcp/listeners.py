@@ -22,8 +22,8 @@ from mcp.shared.subscriptions import (
     ToolsListChanged,
 )
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_mcp.caller import session_of
 from rcp_mcp.catalogue import Catalogue

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import body_of
 from rcp_mcp.catalogue import Catalogue

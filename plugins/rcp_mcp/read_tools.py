@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 from mcp import types
 
-from rcp_kernel.api import Command, Query, Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Command, Query, Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.model import Kind
 from rcp_kernel.wire import Reply, Request
 from rcp_mcp.answers import answered, body_of, failed

@@ -9,8 +9,8 @@ import msgspec
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import body_of
 from rcp_mcp.catalogue import Catalogue, Facts

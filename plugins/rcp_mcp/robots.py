@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.api import Session
-from rcp_kernel.api.pages import cursor_of
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.api.pages import cursor_of
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.wire import Request
 from rcp_mcp.answers import answered, body_of, failed
 from rcp_mcp.config import McpConfig

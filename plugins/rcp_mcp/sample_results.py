@@ -6,7 +6,7 @@ from typing import Any
 
 from mcp import types
 
-from rcp_kernel.api.pages import cursor_of
+from rcp_gateway.api.pages import cursor_of
 from rcp_mcp.answers import answered
 from rcp_mcp.config import McpConfig
 from rcp_mcp.content import Block, show, text

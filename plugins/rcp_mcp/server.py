@@ -14,7 +14,7 @@ from mcp.server.models import InitializationOptions
 from mcp.server.request_state import RequestStateBoundary, RequestStateSecurity
 from mcp.shared.exceptions import MCPError
 
-from rcp_kernel.api import gateway_version
+from rcp_gateway.api import gateway_version
 from rcp_mcp.caller import modern, session_of
 from rcp_mcp.cost import fitting
 from rcp_mcp.listeners import ListenerRegistry

@@ -6,7 +6,7 @@ from collections.abc import AsyncGenerator, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
-from rcp_kernel.client_api import ClientApi, Mount
+from rcp_gateway.client_api import ClientApi, Mount
 from rcp_mcp.catalogue import Catalogue
 from rcp_mcp.command_tools import CommandTools
 from rcp_mcp.config import McpConfig, check

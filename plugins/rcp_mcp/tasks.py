@@ -13,8 +13,8 @@ from typing import Any
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
-from rcp_kernel.api import Command
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Command
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import RcpError, UnknownPath
 from rcp_kernel.wire import Request

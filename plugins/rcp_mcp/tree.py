@@ -9,8 +9,8 @@ import structlog
 from mcp import types
 from mcp.shared.exceptions import MCPError
 
-from rcp_kernel.api import Session, to_internal_error
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session, to_internal_error
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import InvalidValue, RcpError
 from rcp_kernel.wire import error_body
 from rcp_mcp.answers import refused

@@ -6,7 +6,7 @@ import re
 
 import msgspec
 
-from rcp_kernel.api import Session
+from rcp_gateway.api import Session
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import parse_path
 from rcp_mcp.catalogue import Catalogue, Typed

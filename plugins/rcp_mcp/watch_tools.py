@@ -7,8 +7,8 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_mcp.answers import failed
 from rcp_mcp.aside import aside
 from rcp_mcp.config import McpConfig

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.role import BUILTIN_ROLES
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
-from rcp_kernel.hookspecs import hookimpl
 from rcp_motion_limits.config import (
     Bound,
     EnvelopeConfig,

@@ -6,9 +6,9 @@ from collections.abc import AsyncGenerator, Callable, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.config.role import Rule
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, ServiceKey, SystemResource
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.sessions.session import Session
 from rcp_places.config import PlacesConfig, check

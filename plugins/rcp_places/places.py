@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator
 from difflib import get_close_matches
 from typing import Any
@@ -179,4 +180,5 @@ def _middle(place: Place) -> dict[str, float]:
     """Return the horizontal position; the height of a place is not where a robot is to be."""
     points = (place.position,) if place.position is not None else place.corners
     names = ("latitude", "longitude") if place.frame == EARTH else ("x", "y")
-    return {name: sum(getattr(one, name) for one in points) / len(points) for name in names}
+    share = 1 / len(points)  # of each, before they are added: their sum may be too large
+    return {name: math.fsum(getattr(one, name) * share for one in points) for name in names}

@@ -42,6 +42,7 @@ from rcp_plans.names import NameScope
 from rcp_plans.nearest import Nearest, nearest
 from rcp_plans.node import MARK, Checked, Node, references
 from rcp_plans.pace import Allowance
+from rcp_plans.places import place_in
 from rcp_plans.reading import ConditionReader
 from rcp_plans.symbolic import from_symbolic
 from rcp_protocol.plain import is_map
@@ -291,6 +292,7 @@ class _Check:
         self._admit(entry, value, complete=complete)
         if self._approvals.wanted(self._session, entry, value):
             self._checked.ask(node, entry.path)
+            node.place = place_in(self._host, self._session, entry.tenant or "", step.value)
         if isinstance(step, Execute):
             gained = self._control.gains(self._session, entry, step.value)
             self._gained += [] if gained is None else [gained]

@@ -27,6 +27,7 @@ class Node:
         "fallback",
         "id",
         "path",
+        "place",
         "raw",
         "refers",
         "robot",
@@ -47,6 +48,8 @@ class Node:
         self.tenant: str | None = None
         self.robot: str | None = None
         """The robot whose values its conditions use."""
+        self.place: dict[str, Any] | None = None
+        """Where the place is to which a step that needs approval goes by name."""
         self.refers = False
         """Whether its value refers to results of other steps."""
         self.when: Condition | None = None
@@ -91,6 +94,7 @@ class Checked:
         for node in every(self.nodes):
             facts: dict[str, Any] = {"step": node.id, "do": node.step.do, "path": node.path}
             facts["value"] = getattr(node.step, "value", None)
+            facts["place"] = node.place
             facts["approval"] = (node.id in self.asks) or None
             out.append({key: fact for key, fact in facts.items() if fact is not None})
         return out

@@ -16,6 +16,7 @@ from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 from rcp_plans.model import Execute, Operate, Read, Write
 from rcp_plans.node import Filling, Node
+from rcp_plans.places import check_place
 from rcp_plans.progress import LONGEST
 from rcp_protocol.trace import TRACEPARENT
 
@@ -85,6 +86,7 @@ class StepRequests:
         value = step.value
         if node.refers:
             value = await self._turns.finish(self._owner, Filling(self._known).fill(value))
+        check_place(self._host, self._session, node, value)
         return Request(
             type=step.do,
             path=node.path,

@@ -7,9 +7,9 @@ from contextlib import asynccontextmanager
 
 from prometheus_client.core import Metric
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.contract.metrics import counter
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
-from rcp_kernel.hookspecs import hookimpl
 from rcp_quotas.config import Quota, Quotas, QuotaTables, from_gateway
 from rcp_quotas.tracker import QuotaTracker
 

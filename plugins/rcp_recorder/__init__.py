@@ -8,6 +8,7 @@ from typing import Any
 
 from prometheus_client.core import Metric
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.metrics import counter
@@ -20,7 +21,6 @@ from rcp_kernel.features import (
     SystemResource,
 )
 from rcp_kernel.features.incidents import INCIDENTS
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_recorder.config import BlackBoxConfig, RecorderConfig, check
 from rcp_recorder.history import HISTORY, History, HistoryRequest

@@ -11,12 +11,16 @@ import structlog
 from mcap.exceptions import McapError
 
 from rcp_recorder.kept import PIN, Kept, read
-from rcp_recorder.repair import repair
+from rcp_recorder.repair import DAMAGED, repair
 from rcp_recordings.names import ACTIVE
 
 __all__ = ["Catalogue", "NoSpace"]
 
 log = structlog.get_logger("rcp.recorder")
+_UNREADABLE = (
+    OSError, McapError, ValueError, KeyError, struct.error, OverflowError, MemoryError
+)  # fmt: skip
+"""Errors of a file that is damaged, or not one of ours."""
 
 
 class NoSpace(OSError):
@@ -33,6 +37,8 @@ class Catalogue:
         self.files: dict[str, Kept] = {}
         """Complete files by name; replaced as a whole."""
         self.repaired = 0
+        self.damaged = 0
+        """Files with damage before their end, which were put aside."""
         self.deleted = 0
 
     def open(self) -> None:
@@ -45,6 +51,7 @@ class Catalogue:
             if (kept := repair(path)) is not None:
                 self.repaired += 1
                 log.info("recording_recovered", file=kept.name)
+        self.damaged = sum(1 for _ in self.folder.glob(f"*{ACTIVE}{DAMAGED}"))
         found = (self._look(path) for path in sorted(self.folder.glob("*.mcap")))
         self.files = {kept.file: kept for kept in found if kept is not None}
 
@@ -90,6 +97,6 @@ class Catalogue:
     def _look(self, path: Path) -> Kept | None:
         try:
             return read(path)
-        except (OSError, McapError, ValueError, KeyError, struct.error) as error:
+        except _UNREADABLE as error:
             log.warning("recording_unreadable", file=path.name, error=str(error))
             return None

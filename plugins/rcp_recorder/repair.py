@@ -1,7 +1,8 @@
 """Completes a file whose gateway ended without closing it.
 
 Nothing that was written is written again: whatever follows the last complete chunk is cut off, and the
-missing index is added. If that is interrupted, the next start does it again.
+missing index is added. If that is interrupted, the next start does it again. A file with damage before its
+end, as after a power failure, is kept beside what could be read of it: more of it may be readable.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import structlog
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -26,10 +28,18 @@ from rcp_recorder.summary import ChunkPlace, Summary
 from rcp_recorder.turns import take_turns
 from rcp_recordings.names import ACTIVE, RECOVERY
 
-__all__ = ["repair"]
+__all__ = ["DAMAGED", "repair"]
+
+log = structlog.get_logger("rcp.recorder")
+DAMAGED = ".damaged"
+"""What is appended to the name of a file that has damage before its end."""
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQ")
+_WRONG = (McapError, ValueError, EOFError, struct.error, ZstdError, OverflowError, MemoryError)
+"""Errors of records with other content than was written; lengths may be any number."""
+_PIECE = 1 << 20  # bytes
+_LONGEST = 4 << 20  # bytes of the last record, which was not written to its end
 _DATA = frozenset((Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA))
 
 
@@ -52,6 +62,8 @@ class _Found(Summary):
         """Those of the last chunk, which may be missing in part."""
         self.data_end = len(MCAP0_MAGIC)
         """Where the last complete chunk ends."""
+        self.rest = 0
+        """Where what nobody looked at begins."""
         self._last: ChunkPlace | None = None
         self._places: dict[int, int] = {}
         self._length = 0
@@ -74,50 +86,96 @@ class _Found(Summary):
 
 
 def repair(path: Path) -> Path | None:
-    """Complete a file and give it its final name; None: it has no message and is deleted.
+    """Complete a file and give it its final name; None: it has no message and is deleted, unless it is damaged.
 
     :raises OSError: it cannot be written.
     """
+    final = path.with_name(path.name.removesuffix(ACTIVE))
     with path.open("r+b") as file:
         found = _search(file)
-        if found.messages:
+        damaged = _has_data(file, found.rest)
+        if found.messages and not damaged:
             file.truncate(found.data_end)
-            file.seek(found.data_end)
-            file.write(_rest(found))
-            file.flush()
-            os.fsync(file.fileno())
-    if not found.messages:
+            _complete(file, found)
+    if not damaged:
+        if found.messages:
+            return path.rename(final)
         path.unlink()
         return None
-    return path.rename(path.with_name(path.name.removesuffix(ACTIVE)))
+    aside = path.with_name(f"{path.name}{DAMAGED}")
+    log.error("recording_damaged", file=path.name, read=found.data_end, aside=aside.name)
+    copied = bool(found.messages) and _copy(path, final, found)
+    path.rename(aside)
+    return final if copied else None
+
+
+def _complete(file: Any, found: _Found) -> None:
+    file.seek(found.data_end)
+    file.write(_rest(found))
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def _copy(path: Path, final: Path, found: _Found) -> bool:
+    """Write what could be read of a file into another one; return whether there was room for it."""
+    part = final.with_name(f"{final.name}.part")
+    try:
+        with path.open("rb") as source, part.open("wb") as target:
+            for start in range(0, found.data_end, _PIECE):
+                target.write(source.read(min(_PIECE, found.data_end - start)))
+            _complete(target, found)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        log.error("recording_not_recovered", file=path.name, error=str(error))
+        return False
+    part.rename(final)
+    return True
 
 
 def _search(file: Any) -> _Found:
     found = _Found()
-    if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+    begin = file.read(len(MCAP0_MAGIC))
+    if begin != MCAP0_MAGIC:
+        found.rest = len(begin) if MCAP0_MAGIC.startswith(begin) else 0
         return found
     # Whatever ends it was not written, or only in part.
-    with contextlib.suppress(McapError, ValueError, EOFError, struct.error, ZstdError):
-        for part in _parts(file):
+    with contextlib.suppress(*_WRONG):
+        for part in _parts(file, found):
             _take(found, part, file)
     return found
 
 
-def _parts(file: Any) -> Iterator[_Part]:
-    """Iterate over the complete records of the data section."""
-    size = os.fstat(file.fileno()).st_size
+def _parts(file: Any, found: _Found) -> Iterator[_Part]:
+    """Iterate over the complete records of the data section; note where what follows begins."""
+    found.rest = size = os.fstat(file.fileno()).st_size
     offset = len(MCAP0_MAGIC)
     while offset + _HEAD.size <= size:
         file.seek(offset)
         opcode, length = _HEAD.unpack(file.read(_HEAD.size))
-        if opcode not in _DATA or offset + _HEAD.size + length > size:
+        if opcode not in _DATA:
+            found.rest = size if opcode == Opcode.DATA_END else offset
             return
+        if offset + _HEAD.size + length > size:  # not written to its end, or its length is wrong
+            found.rest = size if size - offset < _LONGEST else offset
+            return
+        found.rest = offset + _HEAD.size + length
         yield _Part(opcode, offset, _HEAD.size + length)
         offset += _HEAD.size + length
+    found.rest = size
+
+
+def _has_data(file: Any, start: int) -> bool:
+    """Return whether anything but zeros follows: blocks that the system did not write read as zeros."""
+    file.seek(start)
+    while piece := file.read(_PIECE):
+        if piece.count(0) < len(piece):
+            return True
+    return False
 
 
 def _take(found: _Found, part: _Part, file: Any) -> None:
-    stream = ReadDataStream(file)
+    # No more than the record has, whatever lengths it claims for its parts.
+    stream = ReadDataStream(BytesIO(file.read(part.length - _HEAD.size)))
     match part.opcode:
         case Opcode.CHUNK:
             chunk = Chunk.read(stream)

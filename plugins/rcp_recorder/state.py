@@ -11,7 +11,10 @@ __all__ = ["state"]
 
 
 def state(recorder: Recorder) -> StatusPart:
-    """Describe the recorder, degraded while it records nothing or has lost something."""
+    """Describe the recorder, degraded while it records nothing or has lost something.
+
+    So it is while there are damaged files: somebody has to look after them.
+    """
     writer, counts = recorder.writer, recorder.counts
     kept = writer.catalogue.files.values()
     facts: dict[str, Any] = {
@@ -26,9 +29,11 @@ def state(recorder: Recorder) -> StatusPart:
         "invalid": counts.invalid or None,
         "notices_dropped": counts.notices or None,
         "recovered": writer.catalogue.repaired or None,
+        "damaged": writer.catalogue.damaged or None,
         "deleted": writer.catalogue.deleted or None,
         "clock_set_back": writer.set_back or None,
         "clock_set_back_at": writer.set_back_at,
     }
     told = {key: value for key, value in facts.items() if value is not None}
-    return StatusPart({"recorder": told}, degraded=writer.trouble is not None or writer.dropped > 0)
+    lost = writer.dropped > 0 or writer.catalogue.damaged > 0
+    return StatusPart({"recorder": told}, degraded=writer.trouble is not None or lost)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rcp_kernel.client_kinds import AdapterKind
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.client_kinds import AdapterKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_rosbridge.config import RosbridgeConfig
 from rcp_rosbridge.endpoint import open_rosbridge
 

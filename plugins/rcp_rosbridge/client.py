@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.api import (
+from rcp_gateway.api import (
     LONG_MESSAGE,
     Hello,
     Peer,
@@ -15,7 +15,7 @@ from rcp_kernel.api import (
     check_structure,
     to_internal_error,
 )
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import (
     BadRequest,
     PayloadTooLarge,

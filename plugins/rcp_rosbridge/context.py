@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import msgspec
 
-from rcp_kernel.api import Connection, to_internal_error
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Connection, to_internal_error
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.wire import Reply, Request
 from rcp_rosbridge.config import RosbridgeConfig

@@ -9,7 +9,7 @@ from weakref import WeakValueDictionary
 
 import msgspec
 
-from rcp_kernel.api import Rendering, Sample, to_internal_error
+from rcp_gateway.api import Rendering, Sample, to_internal_error
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.values import to_plain
 from rcp_ros_messages import Source, encode_cdr, message_type, time_of

@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 from typing import Any
 from urllib.parse import parse_qs
 
-from rcp_kernel.api import Principal
-from rcp_kernel.client_api import ClientApi, Mount
+from rcp_gateway.api import Principal
+from rcp_gateway.client_api import ClientApi, Mount
 from rcp_kernel.errors import BadRequest, RcpError, Unauthenticated, UnsupportedOperation
 from rcp_rosbridge.client import RosClient
 from rcp_rosbridge.config import RosbridgeConfig

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator
 from weakref import WeakKeyDictionary
 
-from rcp_kernel.api import Query, Rights, Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Query, Rights, Session
+from rcp_gateway.client_api import ClientApi
 from rcp_rosbridge.graph import Facts, Graph
 
 __all__ = ["Graphs"]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.role import BUILTIN_ROLES
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_tokens.authenticator import TokenAuthenticator, TokenTables
 from rcp_tokens.directory import KeyDirectory

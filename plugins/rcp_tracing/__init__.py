@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
-from rcp_kernel.hookspecs import hookimpl
 from rcp_tracing.config import TracingConfig, check
 
 __all__ = ["TracingConfig", "rcp_features"]

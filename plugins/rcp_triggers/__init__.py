@@ -8,10 +8,10 @@ from contextlib import asynccontextmanager
 
 from prometheus_client.core import Metric
 
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.config.role import Rule as AccessRule
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, StatusPart, SystemResource
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.sessions.session import Session
 from rcp_triggers.config import TriggersConfig, check

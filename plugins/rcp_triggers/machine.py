@@ -34,7 +34,7 @@ class Machine:
     active stays so.
     """
 
-    __slots__ = ("_armed", "fired", "since", "state", "timing")
+    __slots__ = ("_armed", "_known", "fired", "since", "state", "timing")
 
     def __init__(self, timing: Timing) -> None:
         self.timing = timing
@@ -45,6 +45,8 @@ class Machine:
         """When it fired last."""
         self._armed = False
         """Whether the condition was false since it fired last."""
+        self._known = False
+        """Whether it was known in the last step."""
 
     def resume(self, fired: float, *, active: bool) -> None:
         """Go on where an earlier run left off."""
@@ -58,6 +60,7 @@ class Machine:
         `suppress` is a firing that the cool-down swallowed: only of an edge, as anything else waits
         for its end.
         """
+        self._known = when is not None
         if self.state == "active":
             return self._active(now, when=when, clear=clear)
         if when is None:
@@ -112,4 +115,5 @@ class Machine:
             assert self.since is not None
             held = self.since + self.timing.held
             return held if self.timing.edge else max(held, self._rested())
-        return self._repeated() if self.state == "active" else None
+        # What is unknown does not fire: time alone changes nothing until it is known again.
+        return self._repeated() if self.state == "active" and self._known else None

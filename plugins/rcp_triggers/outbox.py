@@ -70,6 +70,8 @@ class Outbox:
         self._changed = changed
         self._senders: dict[str, Sender] = {}
         self.queues: dict[str, _Queue] = {}
+        self._since: dict[str, float] = {}
+        """When each delivery was put in, by `Clock.monotonic`: the clock may be set before there is a network."""
         self._number = 0
         self._open = False
 
@@ -84,8 +86,11 @@ class Outbox:
             except msgspec.ValidationError as error:
                 log.warning("delivery_unreadable", id=key, error=str(error))
                 self._store.put(key, None)
+        clock = self._host.clock
         for delivery in sorted(found, key=lambda one: one.number):
             self._number = delivery.number
+            age = max(0.0, (clock.now() - delivery.created) / _NS)
+            self._since[delivery.id] = clock.monotonic() - age
             self._queue(delivery.target).waiting.append(delivery)
 
     async def open(self, senders: Mapping[str, Sender]) -> None:
@@ -126,6 +131,7 @@ class Outbox:
         while len(queue.waiting) >= self.most:
             self._drop_oldest(target, queue)
         queue.waiting.append(delivery)
+        self._since[delivery.id] = self._host.clock.monotonic()
         self._store.put(delivery.id, to_plain(delivery))
         self._wake(target)
 
@@ -153,7 +159,7 @@ class Outbox:
         """Try until it is delivered, refused, or too old."""
         wait = _FIRST
         while target in self._senders:
-            if self._host.clock.now() - delivery.created > self.keep * _NS:
+            if self._host.clock.monotonic() - self._since[delivery.id] > self.keep:
                 self._end(queue, delivery, "expired", queue.error)
                 return
             queue.sending = delivery.id
@@ -189,6 +195,7 @@ class Outbox:
     def _end(self, queue: _Queue, delivery: Delivery, result: Result, reason: str | None) -> None:
         queue.sending = None
         queue.counts[result] += 1
+        self._since.pop(delivery.id, None)
         if delivery in queue.waiting:
             queue.waiting.remove(delivery)
         self._store.put(delivery.id, None)

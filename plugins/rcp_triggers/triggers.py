@@ -63,6 +63,7 @@ class Triggers:
         self._due: asyncio.TimerHandle | None = None
         self._look: asyncio.TimerHandle | None = None
         self._open = False
+        self._sweeping = False
 
     # -- life ----------------------------------------------------------------------------------
 
@@ -197,18 +198,23 @@ class Triggers:
     def _sweep(self) -> None:
         """Look at what no sample announces: values that become stale, credentials that expire."""
         self._look = self._host.loop.call_later(LOOK, self._sweep)
-        self._host.in_steps(self._swept())
+        if not self._sweeping:  # with many robots, a sweep may take longer than `LOOK`
+            self._sweeping = True
+            self._host.in_steps(self._swept())
 
     def _swept(self) -> Generator[None]:
         moved, now = False, self._host.clock.now()
-        for trigger in [*self.known.values()]:
-            self._check(trigger)
-            for robot in [*trigger.robots.values()]:
-                late = self._host.loop.time() - robot.watch.looked
-                if trigger.stopped is None and late >= LOOK / 2:
-                    robot.watch.look()
-                moved = robot.moved(now) or moved
-                yield
+        try:
+            for trigger in [*self.known.values()]:
+                self._check(trigger)
+                for robot in [*trigger.robots.values()]:
+                    late = self._host.loop.time() - robot.watch.looked
+                    if trigger.stopped is None and late >= LOOK / 2:
+                        robot.watch.look()
+                    moved = robot.moved(now) or moved
+                    yield
+        finally:
+            self._sweeping = False
         if moved:
             self._changed()
 

@@ -6,9 +6,9 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_kernel.client_api import ClientApi
-from rcp_kernel.client_kinds import AdapterKind
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.client_api import ClientApi
+from rcp_gateway.client_kinds import AdapterKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_vda5050.config import VdaConfig
 
 __all__ = ["VdaConfig", "rcp_adapters"]

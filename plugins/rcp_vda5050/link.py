@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 import structlog
 
-from rcp_kernel.api import Connection
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Connection
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_vda5050.config import RobotConfig

@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 import msgspec
 import structlog
 
-from rcp_kernel.api import PluginStore
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import PluginStore
+from rcp_gateway.client_api import ClientApi
 from rcp_vda5050.config import RobotConfig
 from rcp_vda5050.factsheet import factsheet, own_actions
 from rcp_vda5050.faults import Fault

@@ -17,8 +17,8 @@ from paho.mqtt.client import Client as Mqtt
 from paho.mqtt.client import MQTTMessage
 from paho.mqtt.enums import CallbackAPIVersion
 
-from rcp_kernel.api import PluginStore
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import PluginStore
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import ConfigError, RcpError
 from rcp_vda5050.config import RobotConfig, VdaConfig
 from rcp_vda5050.robot import Robot

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import msgspec
 import structlog
 
-from rcp_kernel.api import PluginStore
+from rcp_gateway.api import PluginStore
 from rcp_vda5050.config import RobotConfig
 from rcp_vda5050.zone_messages import ZoneSet
 from rcp_vda5050.zone_sets import UNKNOWN

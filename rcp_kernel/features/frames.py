@@ -2,16 +2,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.errors import FilterUnsupported
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.streams.framed import FrameView
 from rcp_kernel.tree.entry import Entry
+from rcp_kernel.tree.samples import Sample
+from rcp_kernel.values import ValueType
 from rcp_kernel.wire import Request
 
-__all__ = ["FrameConverter", "NoFrames"]
+__all__ = ["FrameConverter", "FrameView", "NoFrames"]
+
+
+class FrameView(Protocol):
+    """The values of one resource in another frame."""
+
+    @property
+    def value_type(self) -> ValueType:
+        """The type of the converted values."""
+        ...
+
+    def check(self) -> None:
+        """Make sure that values can be converted as things are.
+
+        :raises InvalidValue: there is no such frame, or nothing connects it to the values' own.
+        """
+        ...
+
+    def convert(self, sample: Sample) -> Sample:
+        """Return a sample in the frame; the same one for all who ask for it.
+
+        :raises RcpError: its value is invalid, or there is no transform for its time.
+        """
+        ...
+
+    @property
+    def remote(self) -> bool:
+        """Whether the robot's own gateway converts: see `follow`."""
+        ...
+
+    def follow(
+        self,
+        entry: Entry,
+        rate: float | None,
+        offer: Callable[[Sample], None],
+        missing: Callable[[str], None],
+    ) -> Callable[[], None]:
+        """Have the robot's own gateway send its values in the frame; return the end function.
+
+        `entry` is the resource as it is declared now. `missing` is told why there are none for now.
+        """
+        ...
 
 
 class FrameConverter(Protocol):
@@ -49,7 +92,7 @@ class FrameConverter(Protocol):
 
 
 class NoFrames:
-    """The converter of a gateway without that feature: goals are passed to the robots unchanged."""
+    """A gateway without that feature: goals are left to the robots."""
 
     def converts(self, entry: Entry) -> bool:
         """Convert nothing."""

@@ -11,8 +11,8 @@ from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.spi import StopPlan
-from rcp_kernel.streams.hub import Hub
-from rcp_kernel.tree.entry import Entry, Owner, StopGroup
+from rcp_kernel.tree.entry import Entry, Listener, Owner, StopGroup
+from rcp_kernel.tree.registry import Registry
 from rcp_kernel.tree.samples import Sample
 
 __all__ = ["RobotConditions", "Robots", "SupervisedBackend"]
@@ -72,17 +72,22 @@ class Robots:
     def __init__(
         self,
         health: FeatureHealth,
-        hub: Hub,
+        registry: Registry,
         conditions: Conditions,
         backends: Sequence[SupervisedBackend],
+        *,
+        listen: Callable[[Entry, Listener], None],
+        unlisten: Callable[[Entry, Listener], None],
     ) -> None:
+        """`listen` offers the samples of an entry to a listener, and keeps its source running."""
         self._health = health
-        self._hub = hub
-        self._registry = hub.registry
+        self._registry = registry
+        self._listen = listen
+        self._unlisten = unlisten
         self._watches: dict[str, list[_Watch]] = {}
         self.backends = backends
         """The backends of the configuration; a live list."""
-        self.entries: Mapping[str, Entry] = hub.registry.entries
+        self.entries: Mapping[str, Entry] = registry.entries
         """Every resource, by path; a live mapping."""
         self.conditions = RobotConditions(health.name, conditions)
         """The feature's own conditions."""
@@ -124,7 +129,7 @@ class Robots:
         watch = _Watch(self._health.name, offer)
         self._watches.setdefault(path, []).append(watch)
         if (entry := self.entries.get(path)) is not None:
-            self._hub.listen(entry, watch)
+            self._listen(entry, watch)
 
         def end() -> None:
             several = self._watches[path]
@@ -132,10 +137,10 @@ class Robots:
             if not several:
                 del self._watches[path]
             if (entry := self.entries.get(path)) is not None:
-                self._hub.unlisten(entry, watch)
+                self._unlisten(entry, watch)
 
         return end
 
     def _added(self, entry: Entry) -> None:
         for watch in self._watches.get(entry.path, ()):
-            self._hub.listen(entry, watch)
+            self._listen(entry, watch)

@@ -12,9 +12,9 @@ from operator import itemgetter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rcp_kernel.sessions.outbound import Outbound
+    from rcp_kernel.sessions.outbox import Outbox
     from rcp_kernel.sessions.session import Session
-    from rcp_kernel.streams.outbound import Outbound
-    from rcp_kernel.streams.outbox import Outbox
 
 __all__ = ["Relief", "shed", "waiting_bytes"]
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from rcp_kernel.clock import Clock, iso
-from rcp_kernel.streams.notices import notice
+from rcp_kernel.sessions.notices import notice
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions.session import Session

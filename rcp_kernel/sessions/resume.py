@@ -19,17 +19,15 @@ from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.streams.notices import notice
-from rcp_kernel.streams.options import Options
+from rcp_kernel.sessions.notices import notice
 from rcp_store.store import Store
 
 if TYPE_CHECKING:
-    from rcp_kernel.sessions.session import Session
-    from rcp_kernel.streams.subscription import Subscription
+    from rcp_kernel.sessions.session import Session, SessionSubscription
 
 __all__ = ["SessionResume", "StoredSession", "hashed"]
 
-Subscribe = Callable[["Session", str, list[str], Options], None]
+Subscribe = Callable[["Session", str, dict[str, Any]], None]
 log = structlog.get_logger("rcp.store")
 _TABLE = "sessions"
 _SUBSCRIPTIONS = "subscriptions"
@@ -92,7 +90,8 @@ class SessionResume:
                 log.warning("store_row_unreadable", table=_TABLE, error=str(error))
                 self._delete(name, [])
                 continue
-            left = (kept.cut or self.ended) + limit - self._now()
+            # No longer than that, though the clock was set back since.
+            left = min((kept.cut or self.ended) + limit - self._now(), limit)
             own = {key: row for key, row in subscriptions.items() if key.startswith(name)}
             if left <= 0:
                 self._delete(name, list(own))
@@ -134,18 +133,13 @@ class SessionResume:
             for subscription in session.subscriptions.values():
                 self.subscribed(session, subscription)
 
-    def subscribed(self, session: Session, subscription: Subscription) -> None:
+    def subscribed(self, session: Session, subscription: SessionSubscription) -> None:
         """Store a subscription of a session that its client knows."""
         if not self._store.keeps or not session.greeted:
             return
-        options = subscription.options
-        if options.count is not None or options.duration is not None:
-            return  # the remaining part of it is not stored
-        row = {
-            "paths": [pattern.text for pattern in subscription.patterns],
-            "options": msgspec.to_builtins(options),
-        }
-        self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
+        row = subscription.stored()
+        if row is not None:
+            self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
 
     def unsubscribed(self, session: Session, id_: str) -> None:
         """Delete a stored subscription."""
@@ -186,8 +180,7 @@ class SessionResume:
         assert connection is not None
         for id_, row in kept.subscriptions.items():
             try:
-                options = msgspec.convert(row["options"], Options)
-                subscribe(session, id_, row["paths"], options)
+                subscribe(session, id_, row)
             except Exception as error:  # one that cannot be restarted must not prevent the others
                 log.warning("subscription_lost", subscription=id_, error=str(error))
                 notice(connection.outbox, "subscription_ended", id=id_, reason="restart")

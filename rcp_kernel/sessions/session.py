@@ -15,17 +15,23 @@ from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.peer import Peer
 from rcp_kernel.errors import DuplicateRequest, QueueFull, RcpError
 from rcp_kernel.sessions.hello import Hello
-from rcp_kernel.streams.notices import notice
-from rcp_kernel.streams.subscription import Subscription
+from rcp_kernel.sessions.notices import notice
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request, encode_reply
 
 if TYPE_CHECKING:
     from rcp_kernel.sessions.account import SessionAccount
-    from rcp_kernel.streams.outbound import Backlog
-    from rcp_kernel.streams.outbox import Outbox
+    from rcp_kernel.sessions.outbound import Backlog
+    from rcp_kernel.sessions.outbox import Outbox
 
-__all__ = ["Answer", "Handler", "OwnCommand", "Session", "SessionConnection"]
+__all__ = [
+    "Answer",
+    "Handler",
+    "OwnCommand",
+    "Session",
+    "SessionConnection",
+    "SessionSubscription",
+]
 
 Answer = Callable[[Reply], None]
 _MISSED = 4096  # replies stored for a disconnected client
@@ -100,6 +106,30 @@ def _read_key(transport: str) -> tuple[str, str, str]:
     return transport, "read", "ok"
 
 
+class SessionSubscription(Protocol):
+    """A stream of samples that a session has asked for, as the session keeps it."""
+
+    id: str
+    skipped: int
+    """Number of samples skipped on all paths since the start."""
+
+    def stored(self) -> dict[str, Any] | None:
+        """Return what starts it again after a restart of the gateway; None: nothing can."""
+        ...
+
+    def attach(self, outbox: Outbox, missed_from: dict[str, int] | None) -> None:
+        """Resume sending, missed samples first; `missed_from` is the client's last sample by path."""
+        ...
+
+    def detach(self) -> None:
+        """Stop sending because the connection is lost."""
+        ...
+
+    def forget(self) -> None:
+        """Let go of all its paths: the session has ended."""
+        ...
+
+
 class Session:
     """One principal's subscriptions, commands and replies not yet delivered."""
 
@@ -160,7 +190,7 @@ class Session:
         self.connection: SessionConnection | None = None
         self.successor: SessionConnection | None = None
         """Its connection when it was replaced by another session: unanswered requests are answered there."""
-        self.subscriptions: dict[str, Subscription] = {}
+        self.subscriptions: dict[str, SessionSubscription] = {}
         self.commands: dict[str, OwnCommand] = {}
         self.inflight: set[str] = set()
         """The unanswered requests, by id."""

@@ -24,11 +24,10 @@ from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.backpressure import Relief
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.credential_expiry import CredentialExpiry
+from rcp_kernel.sessions.notices import notice
+from rcp_kernel.sessions.outbound import Outbound
 from rcp_kernel.sessions.resume import SessionResume
 from rcp_kernel.sessions.session import Session, SessionConnection
-from rcp_kernel.streams.links import SubscriptionLinker
-from rcp_kernel.streams.notices import notice
-from rcp_kernel.streams.outbound import Outbound
 from rcp_kernel.wire import error_body, failure
 
 __all__ = ["Sessions"]
@@ -51,7 +50,6 @@ class Sessions:
         commands: CommandTable,
         resume: SessionResume,
         events: EventBus,
-        links: SubscriptionLinker,
         outbound: Outbound,
         loop: asyncio.AbstractEventLoop,
         clock: Clock,
@@ -66,7 +64,6 @@ class Sessions:
         self._commands = commands
         self._resume = resume
         self._events = events
-        self._links = links
         self._outbound = outbound
         self._loop = loop
         self.updates: dict[str, int] = {}
@@ -185,9 +182,10 @@ class Sessions:
         for command in self._commands.running.values():  # pending work of principals
             if (requester := command.asker) is not None:
                 principal = self._identities.renewed(requester.principal)
-                requester.rights = (
-                    Rights((), {}) if principal is None else self._rules.rights(principal)
-                )
+                if principal is None:
+                    requester.rights = Rights((), {})
+                else:
+                    requester.principal, requester.rights = principal, self._rules.rights(principal)
         shared = list(self._stateless.items())
         self._stateless.clear()
         self._accounting.recount()
@@ -282,7 +280,7 @@ class Sessions:
             self.drop(session)
             return
         for subscription in session.subscriptions.values():
-            self._links.detach(subscription)
+            subscription.detach()
         session.expiry = self._loop.call_later(
             self._settings.limits.session_ttl, self.drop, session
         )
@@ -299,6 +297,6 @@ class Sessions:
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():
-            self._links.forget(subscription)
+            subscription.forget()
         session.subscriptions.clear()
         session.let_missed_go()

@@ -15,12 +15,12 @@ from playwright.async_api import Browser
 
 from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import ScriptedRobot, serve
 from rcp_kernel.types import Int64, Point, PoseStamped, Twist, quantity
 from rcp_kernel.values import to_plain
 

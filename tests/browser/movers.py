@@ -13,12 +13,12 @@ from playwright.async_api import Browser
 
 from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, MotionState, Progress
-from rcp_kernel.testing import ScriptedRobot, serve
 from rcp_kernel.types import Twist
 
 __all__ = ["Mover", "Movers", "key_of", "movers", "person"]

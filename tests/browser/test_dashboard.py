@@ -19,9 +19,9 @@ from browser.watched import Watched, log_in, watched
 from certs import Authority
 from configuration import backend, key, listener, table, tls
 from docs.demo import Demo, demo
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms

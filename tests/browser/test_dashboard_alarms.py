@@ -8,9 +8,9 @@ from playwright.async_api import Browser, expect
 from browser.watched import signed_in
 from configuration import backend, key, listener, table
 from plugins.triggers.gateway import KIND, robot
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms

@@ -12,9 +12,9 @@ from playwright.async_api import Browser, Page, expect
 
 from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 
 pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 expect.set_options(timeout=60_000)  # ms

@@ -15,9 +15,9 @@ from browser.input_helpers import UNSEEN, drives, push, shift, stands, take, uns
 from browser.robots import STILL, speed, until
 from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 
 pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 expect.set_options(timeout=60_000)  # ms

@@ -25,8 +25,8 @@ from browser.machines import key_of
 from browser.robots import until, value
 from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms

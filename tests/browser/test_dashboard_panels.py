@@ -14,9 +14,9 @@ from playwright.async_api import Browser, FrameLocator, Page, expect
 from browser.machines import Machines, key_of, machines, person
 from browser.watched import signed_in
 from configuration import backend, key, listener, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms

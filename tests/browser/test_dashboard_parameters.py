@@ -18,10 +18,10 @@ from browser.robots import until, value
 from browser.watched import Watched, signed_in
 from browser.worlds import KEY, line, world
 from configuration import backend, key, listener, role, rule, table
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import serve
 
 pytestmark = pytest.mark.anyio
 expect.set_options(timeout=60_000)  # ms

@@ -18,12 +18,12 @@ import rcp_recorder
 from browser.accessible import SMALL, WIDER, violations
 from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.types import Point, PoseStamped, quantity
 
 pytestmark = pytest.mark.anyio

@@ -11,11 +11,11 @@ from typing import Any
 import msgspec
 
 from configuration import backend, key, listener, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, Served, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host
-from rcp_kernel.testing import ScriptedRobot, Served, serve
 
 __all__ = [
     "KEY",

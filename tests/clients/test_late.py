@@ -15,7 +15,7 @@ from clients.test_typescript import typescript
 from late import PATH, LateGateway
 from plugins.client.test_codegen import node
 from rcp_client import connect
-from rcp_kernel.testing import decode, encode
+from rcp_gateway.testing import decode, encode
 from rcp_kernel.values import Encoding
 
 BOUND = 60.0  # s that any wait of a test may take

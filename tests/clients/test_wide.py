@@ -16,10 +16,10 @@ from clients.test_rust import passes, rustc
 from configuration import backend, listener, table
 from rcp_client import connect
 from rcp_client.codegen import generate
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.types import Int64, UInt64
 
 pytestmark = pytest.mark.anyio

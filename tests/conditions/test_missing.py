@@ -68,7 +68,7 @@ def test_a_check_of_the_file_names_the_extra(text: str) -> None:
 
 def test_a_check_of_triggers_names_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "rcp_kernel.app.plugins.find_spec", lambda name: None if name == "cel" else find_spec(name)
+        "rcp_gateway.plugins.find_spec", lambda name: None if name == "cel" else find_spec(name)
     )
     (found,) = Diagnosis(TRIGGER, "rcp.toml").findings
     assert "pip install 'rcp-gateway[triggers]'" in found.message

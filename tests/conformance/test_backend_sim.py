@@ -10,8 +10,7 @@ from typing import Any, ClassVar
 
 import rcp_sim
 from hurry import Hurried
-from rcp_kernel.errors import RcpError
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     BackendSuite,
     Body,
     Goal,
@@ -20,6 +19,7 @@ from rcp_kernel.testing import (
     StopSuite,
     eventually,
 )
+from rcp_kernel.errors import RcpError
 from rcp_sim.messages import FaultSpec
 
 REST = (0.0, 0.0)

@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 
 from configuration import backend, key, listener, table
 from conformance.wires import HttpClient, WebSocketClient
+from rcp_gateway.testing import Client, MemoryClient, ScriptedRobot, scripted, serve
 from rcp_kernel.clock import Clock as GatewayClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress
-from rcp_kernel.testing import Client, MemoryClient, ScriptedRobot, scripted, serve
 from rcp_kernel.types import Real
 from rcp_kernel.values import Encoding
 

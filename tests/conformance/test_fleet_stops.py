@@ -14,8 +14,8 @@ pytest.importorskip("zenoh")
 import rcp_fleet
 import rcp_sim
 from backends.fleet.rig import appears, free_port, robot_at, serving
+from rcp_gateway.testing import ADMIN, Goal, Robot, Served, StopSuite, eventually
 from rcp_kernel.errors import RcpError
-from rcp_kernel.testing import ADMIN, Goal, Robot, Served, StopSuite, eventually
 from rcp_sim.messages import FaultSpec
 from transports.cable import Cable
 

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from conformance.wires import LISTENER, WebSocketClient
-from rcp_kernel.app.server import Server
+from rcp_gateway.server import Server
+from rcp_gateway.testing import Client, MemoryClient, encode
+from rcp_gateway.testing.wire import Wire, World
 from rcp_kernel.errors import BY_CODE
-from rcp_kernel.testing import Client, MemoryClient, encode
-from rcp_kernel.testing.wire import Wire, World
 from rcp_kernel.values import Encoding
 
 STATUSES = {"accepted", "pending", "in_progress", "completed", "failed", "rejected", "cancelled"}

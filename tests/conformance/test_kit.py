@@ -11,12 +11,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from rcp_kernel.app.server import Server
-from rcp_kernel.config.file import parse
-from rcp_kernel.errors import ConfigError, DeviceRejected
-from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
-from rcp_kernel.testing import (
+from rcp_gateway.server import Server
+from rcp_gateway.testing import (
     ADMIN,
     BackendSuite,
     Client,
@@ -27,6 +23,10 @@ from rcp_kernel.testing import (
     loopback,
     serve_backend,
 )
+from rcp_kernel.config.file import parse
+from rcp_kernel.errors import ConfigError, DeviceRejected
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import BackendKind, BaseBackend, Host, Progress
 from rcp_kernel.types import quantity
 from rcp_kernel.values import Encoding
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rcp_kernel.app.server import Server
-from rcp_kernel.testing import Client, MemoryClient, TransportSuite
+from rcp_gateway.server import Server
+from rcp_gateway.testing import Client, MemoryClient, TransportSuite
 from rcp_kernel.values import Encoding
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import msgspec
 
 from conformance.wires import LISTENER, address
+from rcp_gateway.testing import OPERATOR, serve
+from rcp_gateway.testing.wire import DEAD, ROBOT, configuration
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
-from rcp_kernel.testing import OPERATOR, serve
-from rcp_kernel.testing.wire import DEAD, ROBOT, configuration
 
 BOUND = 150  # s, on a slow machine
 # What the contract says of robots that fail, are away or late; 500 is not among it. A cursor, a path

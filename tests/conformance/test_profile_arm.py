@@ -14,8 +14,8 @@ import pytest
 
 from conformance.test_profile_flaws import prove
 from hurry import HURRIED, Hurried
+from rcp_gateway.testing import ProfileSuite
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress
-from rcp_kernel.testing import ProfileSuite
 from rcp_kernel.types import Point, PoseStamped
 from rcp_profiles import claim, offer
 from rcp_profiles import messages as m

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from conformance.test_backend_sim import TestSimProfiles as SimProfiles
 from hurry import HURRIED
+from rcp_gateway.testing import Body, ProfileSuite, Robot
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import Body, ProfileSuite, Robot
 from rcp_kernel.types import Twist
 from rcp_sim import SimBackend, SimConfig, open_sim
 

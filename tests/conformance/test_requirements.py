@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rcp_kernel.testing import REQUIREMENTS, TransportSuite
+from rcp_gateway.testing import REQUIREMENTS, TransportSuite
 
 HERE = sorted(Path(__file__).parent.glob("test_*.py"))
 SECTIONS = range(2, 12)

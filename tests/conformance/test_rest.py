@@ -11,10 +11,10 @@ import httpx
 import pytest
 
 from conformance.wires import BASE, LISTENER, MEDIA, HttpClient, address, bearer
-from rcp_kernel.app.server import Server
+from rcp_gateway.server import Server
+from rcp_gateway.testing import OPERATOR, Client, decode, encode, eventually, proves
+from rcp_gateway.testing.wire import Wire, World
 from rcp_kernel.errors import BY_CODE
-from rcp_kernel.testing import OPERATOR, Client, decode, encode, eventually, proves
-from rcp_kernel.testing.wire import Wire, World
 from rcp_kernel.types import Point, PoseStamped
 from rcp_kernel.values import Encoding
 

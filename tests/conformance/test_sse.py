@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import ClassVar
 
 from conformance.wires import LISTENER, SseClient
-from rcp_kernel.app.server import Server
-from rcp_kernel.testing import Client, TransportSuite
+from rcp_gateway.server import Server
+from rcp_gateway.testing import Client, TransportSuite
 from rcp_kernel.values import Encoding
 
 

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 
 from configuration import backend, listener
 from conformance.wires import BASE, HttpClient, SseClient, WebSocketClient, address, bearer
+from rcp_gateway.testing import Client, MemoryClient, ScriptedRobot, serve
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, parse
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, Resource, operation_names
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import Client, MemoryClient, ScriptedRobot, serve
-from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import quantity
 from rcp_kernel.values import Encoding
 

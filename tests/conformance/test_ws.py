@@ -12,9 +12,9 @@ import websockets
 from websockets.asyncio.client import connect
 
 from conformance.wires import BASE, LISTENER, WebSocketClient, address, bearer
-from rcp_kernel.app.server import Server
-from rcp_kernel.testing import Client, Message, decode, encode, proves
-from rcp_kernel.testing.wire import Wire, World
+from rcp_gateway.server import Server
+from rcp_gateway.testing import Client, Message, decode, encode, proves
+from rcp_gateway.testing.wire import Wire, World
 from rcp_kernel.values import Encoding
 
 SIZE = 4096

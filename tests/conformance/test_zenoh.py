@@ -17,8 +17,8 @@ pytest.importorskip("zenoh")
 import zenoh
 from zenoh.handlers import Callback
 
-from rcp_kernel.app.server import Server
-from rcp_kernel.testing import BOUND, Client, TransportSuite, decode
+from rcp_gateway.server import Server
+from rcp_gateway.testing import BOUND, Client, TransportSuite, decode
 from rcp_kernel.values import Encoding
 
 _HEAD = struct.Struct("<cBQ")

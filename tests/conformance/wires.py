@@ -12,10 +12,10 @@ import httpx
 import websockets
 from websockets.asyncio.client import ClientConnection, connect
 
-from rcp_kernel.app.server import Server
-from rcp_kernel.testing import Client, Message
-from rcp_kernel.testing import decode as read_message
-from rcp_kernel.testing import encode as write_message
+from rcp_gateway.server import Server
+from rcp_gateway.testing import Client, Message
+from rcp_gateway.testing import decode as read_message
+from rcp_gateway.testing import encode as write_message
 from rcp_kernel.values import Encoding
 
 MEDIA = {

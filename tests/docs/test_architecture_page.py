@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-SOURCES = ("", "rcp_kernel", "transports", "plugins", "backends", "clients/python")
+SOURCES = ("", "transports", "plugins", "backends", "clients/python")
 NAMED = re.findall(r"`((?:\w+/)+\w+\.py)`((?:(?: |, | and )`[A-Za-z_][\w.]*`)*)", PAGE)
 
 

@@ -10,8 +10,8 @@ from types import ModuleType
 import pytest
 
 from docs.pages import DOCS
-from rcp_kernel.api import Connection
-from rcp_kernel.streams.outbox import Outbox
+from rcp_gateway.api import Connection
+from rcp_kernel.sessions.outbox import Outbox
 from rcpd.scaffold import write_plugin
 
 

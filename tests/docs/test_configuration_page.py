@@ -14,10 +14,10 @@ from rcp_a2a.config import Provider, PushConfig
 from rcp_asgi.config import TlsConfig
 from rcp_audit import AuditConfig
 from rcp_dashboard import DashboardConfig
+from rcp_gateway.plugins import Plugins
 from rcp_hubs.config import HubConfig
 from rcp_jwt.config import JwtConfig
 from rcp_jwt.login_config import LoginConfig
-from rcp_kernel.app.plugins import Plugins
 from rcp_kernel.config.file import (
     Anonymous,
     BackendConfig,

@@ -16,7 +16,7 @@ from PIL import Image
 from certs import Authority
 from docs.demo import BIN, Demo
 from docs.pages import ROOT
-from rcp_kernel.app.plugins import installed
+from rcp_gateway.plugins import installed
 
 EXAMPLES = ROOT / "examples"
 

@@ -21,7 +21,7 @@ from docs.demo import BIN
 from docs.pages import DOCS
 from rcp_client import connect
 from rcp_client.errors import RcpError
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 PAGE = DOCS / "from-one-robot-to-a-fleet.md"
 PORTS = ("8080", "8081", "8082", "7447")

@@ -6,7 +6,7 @@ import inspect
 import re
 from pathlib import Path
 
-from rcp_kernel import hookspecs
+from rcp_gateway import hookspecs
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "hooks.md").read_text(encoding="utf-8")
@@ -23,6 +23,6 @@ def test_every_hook_is_a_heading_with_its_signature() -> None:
 
 
 def test_every_group_of_entry_points_is_named() -> None:
-    from rcp_kernel.app.plugins import GROUPS
+    from rcp_gateway.plugins import GROUPS
 
     assert set(re.findall(r"^\| `(rcp\.\w+)`", PAGE, re.MULTILINE)) == set(GROUPS.values())

@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from docs.pages import DOCS
-from rcp_kernel.testing import BOUND, OPERATOR, Client, Served, eventually, serve_backend
+from rcp_gateway.testing import BOUND, OPERATOR, Client, Served, eventually, serve_backend
 
 PAGE = (DOCS / "networked-backend.md").read_text(encoding="utf-8")
 DEVICE, BACKEND, SUITE = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)

@@ -14,7 +14,7 @@ import rcp_client
 from configuration import backend, key, listener
 from docs.blocks import BLOCKS
 from programs import program
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from serving import serving
 
 KEY = "operator-operator"

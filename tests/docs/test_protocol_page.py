@@ -11,21 +11,21 @@ import pytest
 from docs.pages import DOCS, keys, rows, section
 from kernel.world import features_of
 from rcp_approvals import ApprovalRequest
+from rcp_gateway.kernel import Kernel
+from rcp_gateway.log import Recent
+from rcp_gateway.system import EstopRequest
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.app.kernel import Kernel
-from rcp_kernel.app.log import Recent
-from rcp_kernel.app.system import EstopRequest
 from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import BRANCHES, Policy, operation_names
-from rcp_kernel.requests.discovery import Query
-from rcp_kernel.requests.read import ReadOptions
 from rcp_kernel.sessions.hello import Hello
-from rcp_kernel.streams.options import Options, Qos
 from rcp_kernel.wire import Reply, Request, RequestType, Status
 from rcp_leases import LeaseRequest
+from rcp_requests.discovery import Query
+from rcp_requests.read import ReadOptions
 from rcp_store.store import Store
+from rcp_streams.options import Options, Qos
 from steps import finished
 
 PAGE = DOCS / "protocol.md"

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-import rcp_kernel.testing as kit
+import rcp_gateway.testing as kit
 from docs.pages import DOCS, keys, rows, section
 
 PAGE = DOCS / "test-kit.md"

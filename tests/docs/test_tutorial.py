@@ -13,7 +13,7 @@ import msgspec
 import pytest
 
 from docs.pages import DOCS, keys, section
-from rcp_kernel.app.server import Prepared, running
+from rcp_gateway.server import Prepared, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.values import Encoding, dump

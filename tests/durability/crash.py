@@ -26,13 +26,13 @@ import msgspec
 import rcp_audit
 import rcp_leases
 from configuration import backend, configuration, key, table
-from rcp_kernel.app.features import active
-from rcp_kernel.app.log import Recent, configure
-from rcp_kernel.app.server import Prepared, Server, running
+from rcp_gateway.features import active
+from rcp_gateway.log import Recent, configure
+from rcp_gateway.server import Prepared, Server, running
+from rcp_gateway.testing import ScriptedRobot
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.values import Encoding
 from rcp_store.damage import find_damage
 from rcp_store.file import open_read_only

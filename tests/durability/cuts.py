@@ -31,13 +31,13 @@ from rcp_client.messages import Codec, Notice
 from rcp_client.settings import Settings
 from rcp_fleet.link import FleetLink, FleetLinks
 from rcp_fleet.link_names import LinkNames
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import OPERATOR, MemoryClient, ScriptedRobot, serve
 from rcp_kernel.clock import now, parse_time
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import OPERATOR, MemoryClient, ScriptedRobot, serve
 from rcp_kernel.types import quantity
 from rcp_zenoh.session import configuration, opened
 from rcp_zenoh.statistics import LinkStatistics

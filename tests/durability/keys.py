@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 
 from crash import FINAL, Journal, keyed, lines, prepared
 
-from rcp_kernel.app.log import Recent, configure
-from rcp_kernel.app.server import Server, running
-from rcp_kernel.requests.idempotency import Keys
+from rcp_gateway.log import Recent, configure
+from rcp_gateway.server import Server, running
 from rcp_kernel.values import Encoding
+from rcp_requests.idempotency import Keys
 from rcp_store import store_writer
 from rcp_store.disk_store import DiskStore
 

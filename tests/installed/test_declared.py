@@ -45,7 +45,7 @@ EXTRAS = {
 """The extras that bring what a package imports; any other has the dependencies alone."""
 BROUGHT = packages_distributions()
 KIT = {"hypothesis", "jsonschema", "pytest"}
-"""What `rcp_kernel.testing` needs: it is for those who test."""
+"""What `rcp_gateway.testing` needs: it is for those who test."""
 LATER = {"compression"}
 """What the standard library has from Python 3.14 on."""
 MESSAGES = re.compile(
@@ -107,7 +107,7 @@ def declared(project: dict[str, Any], package: str) -> set[str]:
 def test_whatever_is_imported_is_declared(package: Path) -> None:
     project = CLIENT if package.parent.name == "python" else GATEWAY
     allowed = declared(project, package.name)
-    modules = imported(package) - (KIT if package.name == "rcp_kernel" else set())
+    modules = imported(package) - (KIT if package.name == "rcp_gateway" else set())
     for module in sorted(modules):
         of = {re.sub(r"[-_.]+", "-", name).lower() for name in BROUGHT.get(module, [module])}
         assert of & allowed, f"{package.name} imports {module}, of {', '.join(sorted(of))}"

@@ -11,7 +11,7 @@ import msgspec
 from configuration import key, role, rule
 from kernel.world import CONFIG as PLAIN
 from kernel.world import Client, Robot, World, prepared, world_of
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
 from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.clock import Clock as GatewayClock
 from rcp_kernel.config.file import parse

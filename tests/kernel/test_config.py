@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rcp_kernel.app.server import prepare
+from rcp_gateway.server import prepare
 from rcp_kernel.config.file import load, parse
 from rcp_kernel.errors import ConfigError
 

@@ -16,8 +16,8 @@ from structlog.testing import capture_logs
 
 from kernel.world import BOUND, CONFIG, Client, Robot, World, prepared, world_of
 from offering import offer
-from rcp_kernel.app.features import active
-from rcp_kernel.app.server import prepare, running
+from rcp_gateway.features import active
+from rcp_gateway.server import prepare, running
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import load, parse
 from rcp_kernel.errors import ConfigError, Forbidden, PluginError
@@ -295,7 +295,7 @@ def test_a_built_in_feature_that_is_not_installed_is_missed_only_where_it_is_use
     [
         "raise SystemExit",
         "import no_such_library",
-        "from rcp_kernel.hookspecs import hookimpl\n@hookimpl\ndef rcp_features(): return [1 / 0]",
+        "from rcp_gateway.hookspecs import hookimpl\n@hookimpl\ndef rcp_features(): return [1 / 0]",
     ],
 )
 def test_a_feature_that_cannot_be_loaded_stops_the_start(

@@ -8,7 +8,9 @@ import grimp
 import pytest
 
 
-@pytest.mark.parametrize("package", ["rcp_kernel", "rcp_ros2"])
+@pytest.mark.parametrize(
+    "package", ["rcp_kernel", "rcp_streams", "rcp_requests", "rcp_gateway", "rcp_ros2"]
+)
 def test_files_import_one_way(package: str) -> None:
     graph = grimp.build_graph(package, cache_dir=None)
     files = {one: graph.find_modules_directly_imported_by(one) for one in graph.modules}

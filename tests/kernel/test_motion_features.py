@@ -13,9 +13,9 @@ import pytest
 from configuration import key, role, rule
 from kernel.world import BOUND, CONFIG, Client, Robot, World, prepared
 from rcp_conditions import condition
+from rcp_gateway.features import active
+from rcp_gateway.server import running
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.app.features import active
-from rcp_kernel.app.server import running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ModeForbids
 from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot, StatusPart

@@ -13,12 +13,11 @@ import pytest
 
 from configuration import backend, configuration, table
 from offering import offer
-from rcp_kernel import hookspecs
-from rcp_kernel.app import plugins
-from rcp_kernel.app.server import prepare, running
+from rcp_gateway import hookspecs, plugins
+from rcp_gateway.hookspecs import hookimpl
+from rcp_gateway.server import prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, PluginError
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 
 
@@ -74,7 +73,7 @@ def installed_as(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, **sources: str
 
 BACKEND = """
 import msgspec
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 class C(msgspec.Struct): pass
 @hookimpl
@@ -113,8 +112,8 @@ def distributed(
 
 NEEDY = """
 import msgspec
-from rcp_kernel.hookspecs import hookimpl
-from rcp_kernel.client_kinds import AdapterKind
+from rcp_gateway.hookspecs import hookimpl
+from rcp_gateway.client_kinds import AdapterKind
 from rcp_kernel.spi import BackendKind
 class C(msgspec.Struct, forbid_unknown_fields=True): pass
 def never(config, host): raise AssertionError("opened without what it needs")

@@ -12,8 +12,8 @@ import msgspec
 import pytest
 
 from kernel.world import BOUND, CONFIG, Client, Robot, prepared
-from rcp_kernel.app.features import active
-from rcp_kernel.app.server import running
+from rcp_gateway.features import active
+from rcp_gateway.server import running
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.events import Event
 from rcp_kernel.errors import QueueFull

@@ -14,18 +14,18 @@ from typing import Any
 import msgspec
 
 from configuration import backend, configuration, key
-from rcp_kernel.app.features import ActiveFeature, active
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.plugins import Plugins
-from rcp_kernel.app.server import Prepared, Server, running
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
+from rcp_gateway.features import ActiveFeature, active
+from rcp_gateway.log import configure
+from rcp_gateway.plugins import Plugins
+from rcp_gateway.server import Prepared, Server, running
+from rcp_gateway.testing import ScriptedRobot
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import GatewayConfig, parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import Encoding
 from rcp_store.store import Store

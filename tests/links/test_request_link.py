@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from rcp_gateway.testing import BOUND, SteppedClock
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, NotReady, Refused
-from rcp_kernel.testing import BOUND, SteppedClock
 from rcp_links import LinkTiming, Messages, RequestLink, json_lines, request_link
 
 Message = dict[str, Any]

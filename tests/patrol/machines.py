@@ -21,10 +21,10 @@ from backends.can.rig import channel
 from backends.can.rover import rover_bench, tables, twins
 from backends.mavlink.flying import speed
 from backends.mavlink.flying import twin as vehicle_twin
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import Served, serve
 from rcp_kernel.config.file import GatewayConfig, KeyConfig, decode_table
 from rcp_kernel.spi import BackendKind
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import Served, serve
 
 __all__ = ["ADMIN", "KEY", "MACHINES", "Machine", "Truth"]
 

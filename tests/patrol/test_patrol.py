@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from patrol.machines import ADMIN, KEY, MACHINES, Machine, Truth
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 SCRIPT = Path(__file__).parents[2] / "examples" / "patrol.py"
 CORNER = re.compile(r"\d+/\d+: to x (-?[\d.]+) m, y (-?[\d.]+) m in \w+")

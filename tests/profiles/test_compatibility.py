@@ -9,8 +9,8 @@ import msgspec
 import pytest
 from msgspec import Meta
 
+from rcp_gateway.testing._schemas import legal
 from rcp_kernel.errors import RcpError
-from rcp_kernel.testing._schemas import legal
 from rcp_kernel.types import Int64, Real, quantity
 from rcp_kernel.values import value_type
 from rcp_profiles import STANDARD

@@ -17,9 +17,9 @@ import rcp_client
 from docs.demo import demo
 from docs.pages import ROOT
 from patrol.machines import KEY, MACHINES
+from rcp_gateway.testing import eventually
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
-from rcp_kernel.testing import eventually
 from rcpd.demo import Demo
 
 pytestmark = pytest.mark.anyio

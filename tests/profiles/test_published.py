@@ -15,9 +15,9 @@ from msgspec.structs import replace
 
 import rcp_sim
 from docs.pages import DOCS
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
+from rcp_gateway.testing._schemas import numbers_without_unit
 from rcp_kernel.model import BRANCHES, Kind, Operation
-from rcp_kernel.testing._schemas import numbers_without_unit
 from rcp_kernel.tree.registry import _checked
 from rcp_kernel.types import PoseStamped, quantity
 from rcp_kernel.values import value_type

@@ -13,12 +13,12 @@ from click.testing import CliRunner
 from structlog.testing import capture_logs
 
 from configuration import configuration, key, table
-from rcp_kernel.app.server import Server
+from rcp_gateway.server import Server
+from rcp_gateway.testing import ADMIN, eventually, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.events import Event, Hear
 from rcp_kernel.errors import InvalidValue, PreconditionFailed
 from rcp_kernel.features.configuration import FileState
-from rcp_kernel.testing import ADMIN, eventually, serve
 from rcpd.cli import main
 from rcpd.configuration_file import ConfigurationFile
 from rcpd.hidden import Hidden

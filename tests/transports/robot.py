@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from configuration import backend, key, listener, table
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.server import Server
+from rcp_gateway.log import configure
+from rcp_gateway.server import Server
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BaseBackend, Host, Progress
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.types import Pose, quantity
 
 BOUND = 20.0  # s any wait of a test may take

@@ -9,10 +9,10 @@ from collections.abc import Coroutine, Generator
 from contextlib import AsyncExitStack, contextmanager
 from typing import Any
 
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, Served, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import ScriptedRobot, Served, scripted, serve
 from transports.robot import BOUND, robot
 
 

@@ -16,10 +16,10 @@ import pytest
 
 from configuration import backend, key, listener
 from conformance.wires import SseClient, WebSocketClient, address
-from rcp_kernel.app.server import Server
+from rcp_gateway.server import Server
+from rcp_gateway.testing import Client, Message, serve
 from rcp_kernel.clock import parse_time
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import Client, Message, serve
 from rcp_kernel.values import Encoding
 from rcp_sim import SimBackend
 

@@ -26,11 +26,11 @@ from certs import Authority, Signed
 from configuration import backend, key, listener, table, tls
 from issuer import AUDIENCE, Key
 from issuer import Issuer as Signer
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, Served, eventually, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import ScriptedRobot, Served, eventually, scripted, serve
 from rcp_kernel.types import Twist, quantity
 from rcp_store.tokens import TokenFile
 

@@ -10,7 +10,7 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
-from rcp_kernel.client_api import Mount
+from rcp_gateway.client_api import Mount
 from rcp_web.asgi import Receive, Scope, Send
 from transports.raw import connected, opened
 from transports.robot import BOUND, KEY, Site, site
@@ -26,8 +26,8 @@ def break_(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: Any, **__: Any) -> NoReturn:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("rcp_kernel.requests.admission.Resolver.resolve", broken)
-    monkeypatch.setattr("rcp_kernel.requests.read._READ", 0)  # no read is answered without it
+    monkeypatch.setattr("rcp_requests.admission.Resolver.resolve", broken)
+    monkeypatch.setattr("rcp_requests.read._READ", 0)  # no read is answered without it
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
 
     async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
         for target in (
-            "rcp_kernel.sessions.connections.decode_request",
+            "rcp_requests.connections.decode_request",
             "rcp_ws.client.segments.read",
         ):
             with monkeypatch.context() as patched, capture_logs() as said:
@@ -110,8 +110,8 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
 @pytest.mark.parametrize(
     "target",
     [
-        "rcp_kernel.sessions.connections.Connection.answer_internal_error",
-        "rcp_kernel.streams.outbox.Outbox.collect",
+        "rcp_requests.connections.Connection.answer_internal_error",
+        "rcp_kernel.sessions.outbox.Outbox.collect",
         "rcp_ws.client.WsClient.settled",
     ],
 )
@@ -124,7 +124,7 @@ async def test_where_not_even_an_answer_can_be_made_the_connection_is_closed_wit
     with capture_logs() as said:
         monkeypatch.setattr(target, broken)
         if target.endswith("answer_internal_error"):
-            monkeypatch.setattr("rcp_kernel.sessions.connections.decode_request", broken)
+            monkeypatch.setattr("rcp_requests.connections.decode_request", broken)
         async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
             raw.ask(type="subscribe", path=POSE, id="1")
             assert await raw.closed() == 1011

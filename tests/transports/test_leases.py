@@ -13,11 +13,11 @@ import msgspec
 import pytest
 
 from conformance.wires import BASE, LISTENER, HttpClient, SseClient, WebSocketClient
-from rcp_kernel.app.server import Server
+from rcp_gateway.server import Server
+from rcp_gateway.testing import OPERATOR, Client, Message, serve
+from rcp_gateway.testing.wire import DEAD, ROBOT, configuration
+from rcp_gateway.testing.wire._robot import WireRobot
 from rcp_kernel.config.file import GatewayConfig, KeyConfig
-from rcp_kernel.testing import OPERATOR, Client, Message, serve
-from rcp_kernel.testing.wire import DEAD, ROBOT, configuration
-from rcp_kernel.testing.wire._robot import WireRobot
 from rcp_kernel.values import Encoding
 from transports.robot import until
 

@@ -8,8 +8,8 @@ import httpx
 import pytest
 
 from rcp_asgi import AsgiConfig
-from rcp_kernel.app import plugins
-from rcp_kernel.client_api import Mount
+from rcp_gateway import plugins
+from rcp_gateway.client_api import Mount
 from rcp_kernel.errors import ConfigError, PluginError
 from rcp_web.asgi import respond
 from transports.raw import TEXT, answer, connected, frame, opened

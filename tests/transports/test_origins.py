@@ -6,7 +6,7 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
 from rcp_asgi.origins import Origins
-from rcp_kernel.app.server import prepare
+from rcp_gateway.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, Forbidden
 from transports.raw import answer, connected, handshake

@@ -6,8 +6,8 @@ import httpx
 import pytest
 
 from rcp_asgi.proxies import Proxies
-from rcp_kernel.app.server import prepare
-from rcp_kernel.client_api import Mount
+from rcp_gateway.client_api import Mount
+from rcp_gateway.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
 from rcp_web.asgi import peer_of, respond

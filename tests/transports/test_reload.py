@@ -8,7 +8,7 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
-from rcp_kernel.app.server import Server, prepare, running
+from rcp_gateway.server import Server, prepare, running
 from rcp_kernel.config.file import load
 from rcpd.reload import reload
 

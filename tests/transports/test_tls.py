@@ -18,7 +18,7 @@ from certs import Authority, Signed
 from configuration import tls
 from rcp_asgi.config import TlsConfig
 from rcp_asgi.tls import Tls
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
 from rcp_kernel.errors import ConfigError
 from transports.raw import TEXT, connected, frame, handshake
 from transports.robot import BOUND, KEY, Site, site, until

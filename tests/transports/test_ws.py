@@ -16,7 +16,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed, ConnectionClosedError
 from websockets.typing import Subprotocol
 
-from rcp_kernel.streams import path_subscription
+from rcp_streams import path_subscription
 from transports.raw import TEXT, frame, handshake, opened
 from transports.robot import BOUND, KEY, Site, site, until
 

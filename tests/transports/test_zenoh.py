@@ -15,8 +15,8 @@ from configuration import backend, configuration, key, table
 
 pytest.importorskip("zenoh")
 
-from rcp_kernel.testing import BOUND, OPERATOR, MemoryClient, Served, eventually, serve
-from rcp_kernel.testing.wire import ROBOT
+from rcp_gateway.testing import BOUND, OPERATOR, MemoryClient, Served, eventually, serve
+from rcp_gateway.testing.wire import ROBOT
 from transports.cable import Cable
 
 _OPERATOR = key("operator", OPERATOR)

@@ -13,7 +13,7 @@ pytest.importorskip("zenoh")
 
 import zenoh
 
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_zenoh.budget import Allowance
 from rcp_zenoh.lane import PART, WINDOWS, Priority
 from rcp_zenoh.path import PathTimes

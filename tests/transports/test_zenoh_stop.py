@@ -12,9 +12,9 @@ pytest.importorskip("zenoh")
 import msgspec
 import zenoh
 
+from rcp_gateway.testing import OPERATOR, eventually, serve
+from rcp_gateway.testing.wire import ROBOT
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import OPERATOR, eventually, serve
-from rcp_kernel.testing.wire import ROBOT
 from rcp_zenoh.budget import Allowance
 from rcp_zenoh.keys import LinkKeys, alive
 from rcp_zenoh.lane import Lane, Priority

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rcp_asgi.config import AsgiConfig
-from rcp_kernel.client_kinds import TransportKind
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.client_kinds import TransportKind
+from rcp_gateway.hookspecs import hookimpl
 
 __all__ = ["AsgiConfig", "rcp_transports"]
 

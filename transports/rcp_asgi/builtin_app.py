@@ -10,8 +10,8 @@ from litestar.di import NamedDependency, Provide
 
 from rcp_asgi.index import index_page
 from rcp_asgi.openapi import Documents
-from rcp_kernel.api import Session, SharedWork
-from rcp_kernel.client_api import Asgi, ClientApi
+from rcp_gateway.api import Session, SharedWork
+from rcp_gateway.client_api import Asgi, ClientApi
 from rcp_kernel.errors import Forbidden, RcpError
 from rcp_web.application import Application, Asked, scope_of
 from rcp_web.asgi import session_of

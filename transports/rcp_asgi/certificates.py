@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from rcp_kernel.api import Certificate, Serial
+from rcp_gateway.api import Certificate, Serial
 
 if TYPE_CHECKING:
     from cryptography import x509

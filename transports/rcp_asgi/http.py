@@ -37,8 +37,8 @@ from rcp_asgi.request_head import (
 )
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
-from rcp_kernel.api import UNKNOWN_PEER, Backlog, Peer
-from rcp_kernel.client_api import Asgi
+from rcp_gateway.api import UNKNOWN_PEER, Backlog, Peer
+from rcp_gateway.client_api import Asgi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure

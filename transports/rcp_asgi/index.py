@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 
 __all__ = ["index_page"]
 

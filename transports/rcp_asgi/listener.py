@@ -24,7 +24,7 @@ from rcp_asgi.safe import check_door
 from rcp_asgi.settings import Settings
 from rcp_asgi.tls import Tls
 from rcp_asgi.upgrade import Upgrade
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import ConfigError, UnknownPath
 from rcp_web.asgi import Receive, Scope, Send, refuse
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import Forbidden
 from rcp_web.asgi import Scope, header
 from rcp_web.logins import LOGINS

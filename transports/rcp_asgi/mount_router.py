@@ -15,7 +15,7 @@ from rcp_asgi.login_cookie import apply_login
 from rcp_asgi.origins import Origins
 from rcp_asgi.request_head import METHODS
 from rcp_asgi.urls import check_url
-from rcp_kernel.client_api import Asgi, ClientApi, Mount
+from rcp_gateway.client_api import Asgi, ClientApi, Mount
 from rcp_kernel.errors import AdapterUnavailable, BadRequest, Forbidden, InternalError, UnknownPath
 from rcp_web.asgi import Receive, Scope, Send, refuse, respond
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.api import Session, SharedWork, gateway_version
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Session, SharedWork, gateway_version
+from rcp_gateway.client_api import ClientApi
 
 __all__ = ["Documents"]
 

@@ -6,8 +6,8 @@ from rcp_asgi.config import AsgiConfig
 from rcp_asgi.origins import is_loopback
 from rcp_asgi.proxies import Proxies
 from rcp_asgi.tls import Tls
-from rcp_kernel.api import GatewayConfig
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import GatewayConfig
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import ConfigError
 
 __all__ = ["check_door", "check_open"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from rcp_asgi.config import AsgiConfig
 from rcp_asgi.proxies import Proxies
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 
 __all__ = ["Settings"]
 

@@ -15,7 +15,7 @@ import structlog
 
 from rcp_asgi.certificates import read_pem, revoked_by
 from rcp_asgi.config import TlsConfig
-from rcp_kernel.api import Serial, others_may, require_certificates
+from rcp_gateway.api import Serial, others_may, require_certificates
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ConfigError
 

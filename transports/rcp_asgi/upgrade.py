@@ -24,7 +24,7 @@ from rcp_asgi.frame_reader import FrameReader
 from rcp_asgi.origins import is_loopback
 from rcp_asgi.settings import Settings
 from rcp_asgi.socket import Socket
-from rcp_kernel.client_api import Asgi
+from rcp_gateway.client_api import Asgi
 from rcp_kernel.errors import BadRequest, InternalError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure

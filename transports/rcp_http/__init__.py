@@ -6,10 +6,10 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
+from rcp_gateway.client_api import ClientApi, Mount
+from rcp_gateway.client_kinds import TransportKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_http.config import HttpConfig
-from rcp_kernel.client_api import ClientApi, Mount
-from rcp_kernel.client_kinds import TransportKind
-from rcp_kernel.hookspecs import hookimpl
 
 __all__ = ["HttpConfig", "open_http", "rcp_transports"]
 

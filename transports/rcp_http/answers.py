@@ -7,11 +7,7 @@ from collections.abc import Iterable
 from time import perf_counter
 from typing import Any
 
-from rcp_http.compress import compress
-from rcp_http.config import HttpConfig
-from rcp_http.negotiate import coding
-from rcp_http.request import HttpRequest
-from rcp_kernel.api import (
+from rcp_gateway.api import (
     BACKLOG_SHARE,
     Outbound,
     PromptReply,
@@ -19,6 +15,10 @@ from rcp_kernel.api import (
     left_out,
     to_internal_error,
 )
+from rcp_http.compress import compress
+from rcp_http.config import HttpConfig
+from rcp_http.negotiate import coding
+from rcp_http.request import HttpRequest
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
 from rcp_web.asgi import MEDIA, Headers, Send, retry_after, status_of

@@ -5,6 +5,8 @@ from __future__ import annotations
 from litestar import Router
 from litestar.di import Provide
 
+from rcp_gateway.api import Session, to_internal_error
+from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import MESSAGES, Answers
 from rcp_http.call import Call
 from rcp_http.config import HttpConfig
@@ -14,8 +16,6 @@ from rcp_http.logins import Login
 from rcp_http.messages import Messages
 from rcp_http.oidc import OidcLogin
 from rcp_http.request import HttpRequest
-from rcp_kernel.api import Session, to_internal_error
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import InvalidPath, RcpError, UnknownPath
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure

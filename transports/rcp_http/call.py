@@ -6,12 +6,12 @@ from typing import Any
 
 from litestar.types import ASGIApp
 
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import Answers
 from rcp_http.context import Follower
 from rcp_http.downloads import send_download
 from rcp_http.request import HttpRequest
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso, now
 from rcp_kernel.wire import Reply, Request
 from rcp_web.downloads import Download

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator, Iterable
 from typing import NamedTuple, get_args
 
+from rcp_gateway.api import Command
+from rcp_gateway.api.pages import LONGEST, ObjectList, cursor_of, place_of
 from rcp_http.request import HttpRequest, count
-from rcp_kernel.api import Command
-from rcp_kernel.api.pages import LONGEST, ObjectList, cursor_of, place_of
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.wire import Status
 

@@ -8,13 +8,13 @@ from time import perf_counter
 import msgspec
 from msgspec import Raw
 
+from rcp_gateway.api import Query, Session
+from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import Answers, methods_of
 from rcp_http.config import HttpConfig
 from rcp_http.downloads import HISTORY, history_options, recordings, send_download
 from rcp_http.octets import bytes_of, send_octets
 from rcp_http.request import HttpRequest, count, flag
-from rcp_kernel.api import Query, Session
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_kernel.values import Encoding

@@ -12,6 +12,7 @@ from litestar.params import FromPath
 from litestar.types import ASGIApp
 from msgspec import Raw
 
+from rcp_gateway.api.pages import LONGEST, ObjectList, room
 from rcp_http.answers import BOOT, matches
 from rcp_http.call import Call
 from rcp_http.command_pages import Wanted, fill
@@ -20,7 +21,6 @@ from rcp_http.openapi_calls import COUNT, CURSOR, FILE, ID, PATH, STATUSES, TEXT
 from rcp_http.openapi_responses import COMMAND, READ
 from rcp_http.request import count, flag
 from rcp_http.schema_page import written
-from rcp_kernel.api.pages import LONGEST, ObjectList, room
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Kind, Operation, operation_names
 from rcp_kernel.wire import encode_reply

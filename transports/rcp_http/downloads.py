@@ -8,10 +8,10 @@ from collections.abc import AsyncIterator
 from contextlib import aclosing
 from typing import Any, cast
 
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import matches
 from rcp_http.request import HttpRequest
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import NotImplementedByRobot, RcpError
 from rcp_web.asgi import Headers, Receive, Send, respond
 from rcp_web.downloads import RECORDINGS, Download, Recordings

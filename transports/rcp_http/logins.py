@@ -9,10 +9,10 @@ from litestar import Controller, delete, get, post
 from litestar.di import NamedDependency
 from litestar.types import ASGIApp
 
+from rcp_gateway.api import Principal
+from rcp_gateway.client_api import ClientApi
 from rcp_http.openapi_calls import TEXT
 from rcp_http.openapi_responses import refusals
-from rcp_kernel.api import Principal
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import BadRequest, Forbidden, UnknownPath
 from rcp_web.application import Asked, response, scope_of

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from rcp_gateway.api import Session
+from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import Answers
 from rcp_http.config import HttpConfig
 from rcp_http.context import Context, Follower
 from rcp_http.negotiate import body_encoding
 from rcp_http.request import HttpRequest
-from rcp_kernel.api import Session
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, decode_request, failure, peek_header

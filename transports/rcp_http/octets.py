@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from rcp_gateway.api import Sample
 from rcp_http.answers import BOOT, matches
 from rcp_http.negotiate import OCTETS
 from rcp_http.request import HttpRequest
-from rcp_kernel.api import Sample
 from rcp_kernel.wire import Reply
 from rcp_web.asgi import Headers, Send, respond
 from rcp_web.ranges import byte_range

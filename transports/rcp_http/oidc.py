@@ -12,8 +12,8 @@ from litestar.di import NamedDependency
 from litestar.params import FromPath
 from litestar.types import ASGIApp
 
-from rcp_kernel.api import to_internal_error
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import to_internal_error
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import (
     BadRequest,
     Forbidden,

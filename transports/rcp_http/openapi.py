@@ -7,10 +7,10 @@ from typing import Any
 import msgspec
 from msgspec import Raw
 
+from rcp_gateway.api import Query, Session
+from rcp_gateway.client_api import ClientApi
 from rcp_http.openapi_calls import ERROR, REPLY, direct
 from rcp_http.openapi_responses import COMMAND, READ, refusals, responses
-from rcp_kernel.api import Query, Session
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.model import Operation
 from rcp_web.application import Application
 

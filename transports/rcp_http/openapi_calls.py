@@ -6,8 +6,8 @@ from typing import Any
 
 import msgspec
 
+from rcp_gateway.api.pages import LONGEST, MOST
 from rcp_http.openapi_responses import CALL, COMMAND, READ, refusals
-from rcp_kernel.api.pages import LONGEST, MOST
 from rcp_kernel.errors import BY_CODE
 from rcp_kernel.model import MAX_PATH
 from rcp_kernel.wire import FINAL, VERSION, Request

@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 from msgspec import Raw
 
+from rcp_gateway.api import Principal, Session
+from rcp_gateway.api.pages import MOST
+from rcp_gateway.client_api import ClientApi
 from rcp_http.negotiate import accepted, body_encoding
-from rcp_kernel.api import Principal, Session
-from rcp_kernel.api.pages import MOST
-from rcp_kernel.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, NotImplementedByRobot
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import Request, decode_request

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.api.pages import EncodedBody
+from rcp_gateway.api.pages import EncodedBody
 from rcp_kernel.values import Encoding, dump
 
 __all__ = ["written"]

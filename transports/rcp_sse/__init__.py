@@ -6,11 +6,11 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
-from rcp_kernel.api import to_internal_error
-from rcp_kernel.client_api import Asgi, ClientApi, Mount
-from rcp_kernel.client_kinds import TransportKind
+from rcp_gateway.api import to_internal_error
+from rcp_gateway.client_api import Asgi, ClientApi, Mount
+from rcp_gateway.client_kinds import TransportKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.errors import BadRequest, UnknownPath, UnsupportedOperation
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply
 from rcp_sse.config import SseConfig

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import msgspec
 from msgspec import Raw
 
-from rcp_kernel.api import Connection, Hello, Principal, Sample, Wrap
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Connection, Hello, Principal, Sample, Wrap
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import Gap, RcpError
 from rcp_kernel.values import Encoding

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rcp_kernel.api import Session
+from rcp_gateway.api import Session
 
 __all__ = ["described"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure

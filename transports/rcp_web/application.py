@@ -12,7 +12,7 @@ from litestar.openapi.config import OpenAPIConfig
 from litestar.openapi.plugins import JsonRenderPlugin
 from litestar.types import ASGIApp, ControllerRouterHandler
 
-from rcp_kernel.api import to_internal_error
+from rcp_gateway.api import to_internal_error
 from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_web.asgi import JSON, Receive, Scope, Send, respond
 from rcp_web.refusals import NotTaken, Refusal, envelope, headers_of

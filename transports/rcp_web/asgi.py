@@ -7,8 +7,8 @@ from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from math import ceil
 from typing import Any
 
-from rcp_kernel.api import UNKNOWN_PEER, Peer, Session
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import UNKNOWN_PEER, Peer, Session
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BY_CODE, BadRequest, DeadlineExceeded, PayloadTooLarge, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure

@@ -6,7 +6,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
-from rcp_kernel.api import Session
+from rcp_gateway.api import Session
 from rcp_kernel.features import ServiceKey
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Body

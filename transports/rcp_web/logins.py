@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from rcp_kernel.api import Principal
+from rcp_gateway.api import Principal
 from rcp_kernel.features import ServiceKey
 from rcp_web.asgi import Scope
 from rcp_web.cookies import CookieKind, shown_cookie, shows_secure

@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import structlog
 
-from rcp_kernel.api import BACKLOG_SHARE, Peer, Principal
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import BACKLOG_SHARE, Peer, Principal
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.values import Encoding
 from rcp_web.read_gate import ReadGate
 from rcp_web.socket import NativeSocket

@@ -6,10 +6,10 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_kernel.client_api import ClientApi, Mount
-from rcp_kernel.client_kinds import TransportKind
+from rcp_gateway.client_api import ClientApi, Mount
+from rcp_gateway.client_kinds import TransportKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.errors import RcpError, UnsupportedOperation
-from rcp_kernel.hookspecs import hookimpl
 from rcp_web.asgi import Receive, Scope, Send, peer_of, refuse
 from rcp_ws.client import WsClient
 from rcp_ws.config import WsConfig

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from rcp_kernel.api import Hello, Peer, Principal
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Hello, Peer, Principal
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, PayloadTooLarge, RcpError, Unauthenticated
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, peek_header

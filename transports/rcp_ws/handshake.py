@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rcp_kernel.api import Principal
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Principal
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BadRequest, Unauthenticated
 from rcp_kernel.values import Encoding
 from rcp_web.asgi import Scope, bearer, header, peer_of

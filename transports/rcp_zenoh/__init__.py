@@ -9,11 +9,11 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from rcp_kernel.api import GatewayConfig
-from rcp_kernel.client_api import ClientApi
-from rcp_kernel.client_kinds import TransportKind
+from rcp_gateway.api import GatewayConfig
+from rcp_gateway.client_api import ClientApi
+from rcp_gateway.client_kinds import TransportKind
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.hookspecs import hookimpl
 from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.tls import check_links, check_name
 

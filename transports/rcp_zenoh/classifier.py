@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.api import Sample
+from rcp_gateway.api import Sample
 from rcp_kernel.values import Encoding, parse
 from rcp_kernel.wire import FINAL, peek_header
 from rcp_zenoh.lane import WHOLE, Priority

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import structlog
 import zenoh
 
-from rcp_kernel.api import Hello, Principal
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.api import Hello, Principal
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import PayloadTooLarge, Unauthenticated
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import failure, peek_header

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.api import others_may
+from rcp_gateway.api import others_may
 from rcp_kernel.errors import ConfigError
 
 if TYPE_CHECKING:

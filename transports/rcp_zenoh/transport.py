@@ -10,7 +10,7 @@ from typing import Any
 
 import zenoh
 
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.features import ServiceKey
 from rcp_zenoh.budget import Allowance, Budget
 from rcp_zenoh.client import HubLink

@@ -202,13 +202,18 @@ class Client:
     ) -> CommandHandle:
         """Start a command and return once the gateway has accepted it.
 
-        Without a `deadline`, the time limit of the path applies.
+        Without a `deadline`, the time limit of the path applies. Cancelling the call cancels the
+        command.
 
         :raises RcpError: it was refused.
         """
         more = {"idempotency_key": idempotency_key, "approval": approval}
         handle = self._execute(path, input, deadline, more, on_feedback, type)
-        await handle.accepted(self._first_wait(deadline))
+        try:
+            await handle.accepted(self._first_wait(deadline))
+        except asyncio.CancelledError:
+            handle.cancel_soon()
+            raise
         return handle
 
     async def execute(

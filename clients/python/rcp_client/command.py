@@ -142,13 +142,23 @@ class CommandHandle:
         return await self._channel.ask({"type": "cancel", "command": self.id})
 
     def cancel_soon(self) -> None:
-        """Cancel the command as soon as it has an id, without waiting."""
+        """Cancel the command without waiting, on the next connection if there is none.
+
+        What the gateway has not heard of is not sent any more.
+        """
+        call = self._call
+        if self.done:
+            return
         if self.id is not None:
-            self._channel.post({"type": "cancel", "command": self.id})
-        elif not self.done:
-            self._call.listeners.append(self._cancel_now)
+            self._channel.cancel(self.id)
+        elif call.sent is None:
+            self._channel.calls.leave(call)
+        else:
+            call.repeat = "never"
+            call.listeners.append(self._cancel_now)
 
     def _cancel_now(self, reply: Reply) -> None:
         if reply.status not in FINAL and self._cancel_now in self._call.listeners:
             self._call.listeners.remove(self._cancel_now)
-            self._channel.post({"type": "cancel", "command": reply.command})
+            if reply.command is not None:
+                self._channel.cancel(reply.command)

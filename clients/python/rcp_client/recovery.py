@@ -29,6 +29,8 @@ from rcp_protocol.errors import AdapterUnavailable, RcpError, UnknownPath
 
 __all__ = ["Recovery", "Requests"]
 
+_ROUNDED = 0.001  # s: as exactly as the gateway tells for how long it has been running
+
 
 class Requests(Protocol):
     """The unanswered requests, and how to send them again."""
@@ -67,6 +69,8 @@ class Recovery:
         self._repeats: set[asyncio.Task[None]] = set()
         self._met: int | None = None
         """When the gateway was last known to be the same, ns by its own clock."""
+        self._met_at = 0.0
+        """The same by `time.monotonic` here: the gateway's clock may be set back before it starts anew."""
         self._offset = 0
         """Offset of the gateway's clock from ours, ns."""
         self._doubt = False
@@ -79,7 +83,7 @@ class Recovery:
         there = parse_time(timestamp)
         self._offset = there - (requested + now()) // 2
         if self._met is None:
-            self._met = there
+            self._met, self._met_at = there, time.monotonic()
         elif not resumed:
             self._doubt = True
             self._moved = self._moved or moved
@@ -105,7 +109,7 @@ class Recovery:
         if lost:
             await self._look_up(lost, keys=not (restarted or self._moved))
         if restarted:
-            self._met = now() + self._offset
+            self._met, self._met_at = now() + self._offset, time.monotonic()
         self._doubt = self._moved = False
 
     def _is_known(self, call: Call, restarted: bool, outside: bool) -> bool:  # noqa: FBT001 - internal
@@ -163,18 +167,22 @@ class Recovery:
     async def _look(self) -> tuple[bool, bool]:
         """Return whether the gateway may have been restarted, and whether its robots have their own.
 
-        A restart counts since the first connection.
+        A restart counts since the first connection. Both what the clocks show and for how long the
+        gateway has been running must say that there was none: clocks may be set, and this machine may
+        have been suspended.
         """
-        body = {"fields": ["started", "backends"]}
+        body = {"fields": ["started", "uptime", "backends"]}
+        known_for = time.monotonic() - self._met_at
         envelope: dict[str, Any] = {"type": "read", "path": "/system/status", "body": body}
         try:
             reply = await self._requests.ask(envelope)
-            started = parse_time(reply.body["started"])
+            started, uptime = parse_time(reply.body["started"]), float(reply.body["uptime"])
             backends: list[dict[str, Any]] = reply.body["backends"]
-        except (RcpError, KeyError, TypeError):
+        except (RcpError, KeyError, TypeError, ValueError):
             return True, False
         outside = bool(backends) and all(one.get("gateways") for one in backends)
-        return self._met is None or started > self._met, outside
+        anew = self._met is None or started > self._met or uptime + _ROUNDED < known_for
+        return anew, outside
 
     async def _look_up(self, lost: list[Call], *, keys: bool) -> None:
         """Look up the outcome of commands that must not be sent again."""

@@ -9,8 +9,8 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.errors import DeviceRejected, InvalidValue
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, check_fence
 from rcp_kernel.types import (

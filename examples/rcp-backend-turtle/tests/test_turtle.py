@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 import pytest
+from rcp_gateway.testing import BackendSuite, Body, Goal, ProfileSuite, StopRig, StopSuite, serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import BackendSuite, Body, Goal, ProfileSuite, StopRig, StopSuite, serve
 
 import rcp_turtle
 

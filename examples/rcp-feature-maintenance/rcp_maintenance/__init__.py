@@ -7,10 +7,10 @@ from contextlib import asynccontextmanager
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, convert, to_builtins
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ModeForbids, PreconditionFailed
 from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot, SystemResource
-from rcp_kernel.hookspecs import hookimpl
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.types import Time

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import pytest
-from rcp_kernel.testing import ADMIN, OPERATOR, FeatureGateway, FeatureSuite
+from rcp_gateway.testing import ADMIN, OPERATOR, FeatureGateway, FeatureSuite
 
 import rcp_maintenance
 

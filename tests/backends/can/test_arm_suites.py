@@ -12,9 +12,9 @@ import can
 import rcp_can
 from backends.can.rig import PATIENT, Node, channel
 from rcp_can.sim import Bench, make_twin
+from rcp_gateway.testing import Goal, ProfileSuite, StopRig, StopSuite, eventually
+from rcp_gateway.testing.backend import Robot
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import Goal, ProfileSuite, StopRig, StopSuite, eventually
-from rcp_kernel.testing.backend import Robot
 
 JOINTS = {"shoulder": 1, "elbow": 2, "wrist": 3}
 """Names and nodes."""

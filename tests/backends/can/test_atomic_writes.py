@@ -13,8 +13,8 @@ import pytest
 import rcp_can
 from backends.can.rig import Node, channel
 from rcp_can.sim import Bench, make_twin
-from rcp_kernel.testing import OPERATOR, eventually, serve_backend
-from rcp_kernel.testing._client import Client
+from rcp_gateway.testing import OPERATOR, eventually, serve_backend
+from rcp_gateway.testing._client import Client
 
 KIND = next(iter(rcp_can.rcp_backends()))
 NODES = {"left": 1, "right": 2}

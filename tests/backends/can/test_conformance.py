@@ -15,8 +15,8 @@ from backends.can.rig import MOTORS, OTHERS, Node, channel
 from rcp_can.dronecan.library import make
 from rcp_can.dronecan.transfers import encode
 from rcp_can.sim import Bench, make_twin
-from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
-from rcp_kernel.testing.backend import Robot
+from rcp_gateway.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
+from rcp_gateway.testing.backend import Robot
 
 _ALIKE = 8  # set-points in a row; those that were on their way are fewer
 

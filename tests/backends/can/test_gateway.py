@@ -16,7 +16,7 @@ import pytest
 import rcp_can
 from backends.can.rig import MOTORS, channel, with_keys
 from rcp_can.sim import Bench, Twin, make_twin
-from rcp_kernel.testing._serve import ADMIN, OPERATOR, VIEWER, serve_backend
+from rcp_gateway.testing._serve import ADMIN, OPERATOR, VIEWER, serve_backend
 
 KIND = next(iter(rcp_can.rcp_backends()))
 

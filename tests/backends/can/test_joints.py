@@ -22,6 +22,8 @@ from configuration import backend, key
 from rcp_can import CanConfig
 from rcp_can.path import Leg, Path
 from rcp_can.sim import Bench, make_twin
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import OPERATOR, serve
 from rcp_kernel.errors import (
     AdapterUnavailable,
     ConfigError,
@@ -30,8 +32,6 @@ from rcp_kernel.errors import (
     ModeForbids,
     OutOfRange,
 )
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import OPERATOR, serve
 
 FOLLOW = "action/arm/follow_trajectory"
 JOINTS, MOVE, STATES = "actuator/arm/joints", "action/arm/move_joints", "sensor/arm/joints"

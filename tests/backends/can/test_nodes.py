@@ -17,9 +17,9 @@ from backends.can.peers import durand_network, local_node
 from backends.can.rig import Rig, channel, motor, opened
 from rcp_can.eds_types import entry_of
 from rcp_can.sim.cia402_objects import make_dictionary
+from rcp_gateway.testing._serve import OPERATOR, VIEWER, serve_backend
 from rcp_kernel.errors import ConfigError, DeviceRejected, DeviceTimeout
 from rcp_kernel.model import Operation
-from rcp_kernel.testing._serve import OPERATOR, VIEWER, serve_backend
 from rcp_kernel.values import value_type
 
 

@@ -11,9 +11,9 @@ import can
 import rcp_can
 from backends.can.rig import channel
 from backends.can.rover import Truth, rover_bench, tables, twins
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
-from rcp_kernel.testing.backend import Robot
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import ADMIN, OPERATOR, serve_backend
+from rcp_gateway.testing.backend import Robot
 
 CMD_VEL, MOVE_TO = "actuator/cmd_vel", "action/move_to"
 FORWARD = {"linear": {"x": 0.3}}

@@ -14,9 +14,9 @@ import rcp_can
 from backends.can.rig import Node, channel
 from backends.can.rover import RIGHT, rover_bench, tables, twins
 from rcp_can.sim import Bench
+from rcp_gateway.testing import Body, Goal, ProfileSuite, StopRig, StopSuite, eventually
+from rcp_gateway.testing.backend import Robot
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import Body, Goal, ProfileSuite, StopRig, StopSuite, eventually
-from rcp_kernel.testing.backend import Robot
 
 
 class RoverRig(StopRig):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from rcp_gateway.testing import ScriptedRobot
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.types import quantity
 
 __all__ = ["Cart"]

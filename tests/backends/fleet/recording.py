@@ -19,8 +19,8 @@ import zenoh
 from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
 from configuration import key
 from rcp_fleet.link import FleetLink
+from rcp_gateway.testing import ADMIN
 from rcp_kernel.contract.version import gateway_version
-from rcp_kernel.testing import ADMIN
 from rcp_zenoh.budget import Allowance
 from rcp_zenoh.keys import LinkKeys, alive, links_of, part
 from rcp_zenoh.lane import Priority

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from configuration import backend, configuration, key, table
+from rcp_gateway.testing import ADMIN, OPERATOR, Client, Served, eventually, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind
-from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, serve
 
 __all__ = [
     "SIM",

@@ -14,7 +14,7 @@ pytest.importorskip("zenoh")
 from backends.fleet.rig import hub_at, robot_at
 from certs import Authority, Signed
 from hubkeys import HubKey
-from rcp_kernel.testing import OPERATOR
+from rcp_gateway.testing import OPERATOR
 from rcpd.cli import main
 
 Change = Callable[[str, Path], str]

@@ -13,9 +13,9 @@ pytest.importorskip("zenoh")
 
 from backends.fleet.rig import SIM, appears, catalogue, free_port, hub_at, robot_at, serving
 from configuration import backend
+from rcp_gateway.testing import OPERATOR, Client, ScriptedRobot, eventually, scripted
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import OPERATOR, Client, ScriptedRobot, eventually, scripted
 
 BUS = {"interface": "virtual", "channel": "fleet-discovery", "bitrate": 1_000_000, "simulate": True}
 PAN = {

@@ -20,11 +20,11 @@ pytest.importorskip("zenoh")
 from backends.fleet.rig import appears, free_port, hub_at
 from certs import Authority
 from hubkeys import HubKey
+from rcp_gateway.server import prepare
+from rcp_gateway.testing import OPERATOR, serve
 from rcp_hubs.cli import enroll
 from rcp_hubs.enrolment import CertificateSigner, EnrolmentError, Identity, Invitation, enrol
-from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import load, parse
-from rcp_kernel.testing import OPERATOR, serve
 
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s, on any machine

@@ -17,7 +17,7 @@ pytest.importorskip("zenoh")
 from backends.fleet.rig import free_port
 from rcp_client import Client, connect
 from rcp_client.errors import RcpError
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 RUN = Path(__file__).parents[3] / "examples" / "fleet" / "run.py"
 _STARTS = 120.0  # s: four gateways, of which one has a simulated vehicle

@@ -14,11 +14,11 @@ from backends.fleet.rig import appears, catalogue, free_port, hub_at, robot_at, 
 from configuration import key, role, rule, table
 from rcp_fleet.frames import FrameLists
 from rcp_fleet.values import RobotValue
-from rcp_kernel.app.reload import apply
-from rcp_kernel.app.server import prepare
+from rcp_gateway.reload import apply
+from rcp_gateway.server import prepare
+from rcp_gateway.testing import OPERATOR, VIEWER, Client, Served, SteppedClock, eventually
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import FrameWatch, Principal
-from rcp_kernel.testing import OPERATOR, VIEWER, Client, Served, SteppedClock, eventually
 
 pytestmark = pytest.mark.anyio
 _POSE, _SPEED = "/tenant/alpha/sensor/r7/pose", "/tenant/alpha/param/r7/speed_limit"

@@ -18,7 +18,7 @@ from backends.fleet.test_two_hubs import Pair, opened
 from configuration import key
 from plugins.client.heard import Heard
 from rcp_fleet.leases import hub_scope, robot_scope
-from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
+from rcp_gateway.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
 from transports.cable import Cable
 
 pytestmark = pytest.mark.anyio

@@ -22,7 +22,7 @@ from rcp_client.messages import Codec
 from rcp_client.settings import Settings
 from rcp_fleet.link import FleetLink, FleetLinks
 from rcp_fleet.link_names import LinkNames
-from rcp_kernel.testing import OPERATOR, eventually
+from rcp_gateway.testing import OPERATOR, eventually
 from rcp_zenoh.declared_keys import DeclaredKeys
 from rcp_zenoh.keys import alive
 from rcp_zenoh.session import configuration, on_loop, opened

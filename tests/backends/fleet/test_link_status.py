@@ -24,10 +24,7 @@ from backends.fleet.rig import (
 )
 from configuration import backend, key, listener
 from plugins.client.rcpctl import BIN, BOUND
-from rcp_kernel.contract.version import gateway_version
-from rcp_kernel.model import Resource
-from rcp_kernel.spi import Host
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     OPERATOR,
     Client,
     MemoryClient,
@@ -36,6 +33,9 @@ from rcp_kernel.testing import (
     eventually,
     scripted,
 )
+from rcp_kernel.contract.version import gateway_version
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Host
 from rcp_zenoh.session import configuration, opened
 from serving import serving as process
 from steps import finished
@@ -161,7 +161,7 @@ async def test_a_gateway_of_another_major_version_is_down_with_one_sentence(
     async with serving(hub_at(port)) as hub:
         client = hub.client(OPERATOR)
         with monkeypatch.context() as other:
-            other.setattr("rcp_kernel.sessions.handshake.VERSION", "2")
+            other.setattr("rcp_requests.handshake.VERSION", "2")
             async with serving(robot_at(port)):
                 await appears(client, _LINK)
                 found = await comes(client, state="down", protocol="2")

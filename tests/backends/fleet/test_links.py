@@ -26,10 +26,10 @@ from backends.fleet.rig import (
 )
 from certs import Authority, Signed
 from configuration import key, table
-from rcp_kernel.app.server import prepare
+from rcp_gateway.server import prepare
+from rcp_gateway.testing import ADMIN, OPERATOR, Served, eventually, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
-from rcp_kernel.testing import ADMIN, OPERATOR, Served, eventually, serve
 from rcp_zenoh.session import configuration, on_loop, opened
 from rcp_zenoh.tls import TlsConfig
 from rcpd.audit import audit

@@ -14,12 +14,9 @@ pytest.importorskip("zenoh")
 from backends.fleet.rig import appears, free_port, hub_at, recorded, robot_at
 from hubkeys import HubKey
 from rcp_client.messages import Notice
-from rcp_kernel.app.reload import apply
-from rcp_kernel.app.server import prepare
-from rcp_kernel.clock import SYSTEM_CLOCK, Clock
-from rcp_kernel.config.file import parse
-from rcp_kernel.spi import Principal
-from rcp_kernel.testing import (
+from rcp_gateway.reload import apply
+from rcp_gateway.server import prepare
+from rcp_gateway.testing import (
     ADMIN,
     OPERATOR,
     VIEWER,
@@ -29,6 +26,9 @@ from rcp_kernel.testing import (
     eventually,
     serve,
 )
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
+from rcp_kernel.config.file import parse
+from rcp_kernel.spi import Principal
 
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s, on any machine

@@ -13,7 +13,7 @@ pytest.importorskip("zenoh")
 from backends.fleet.cart import Cart
 from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
 from configuration import backend
-from rcp_kernel.testing import OPERATOR, Client, eventually, scripted
+from rcp_gateway.testing import OPERATOR, Client, eventually, scripted
 from transports.cable import Cable
 
 pytestmark = pytest.mark.anyio

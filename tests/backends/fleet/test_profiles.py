@@ -18,7 +18,7 @@ import rcp_sim
 from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
 from configuration import backend, configuration, listener, table
 from rcp_fleet import rcp_backends
-from rcp_kernel.testing import OPERATOR, Body, ProfileSuite, Robot, Served
+from rcp_gateway.testing import OPERATOR, Body, ProfileSuite, Robot, Served
 
 PATROL = Path(__file__).parents[3] / "examples" / "patrol.py"
 

@@ -11,12 +11,12 @@ pytest.importorskip("zenoh")
 
 from backends.fleet.rig import appears, free_port, hub_at, robot_at
 from hubkeys import HubKey
+from rcp_gateway.testing import ADMIN, OPERATOR, Served, eventually, serve
 from rcp_hubs.cli import fleet
 from rcp_hubs.revocation import REVOCATIONS, RevocationList, sign_list
 from rcp_hubs.signer import read_private_key
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import Unauthenticated
-from rcp_kernel.testing import ADMIN, OPERATOR, Served, eventually, serve
 
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s, on any machine

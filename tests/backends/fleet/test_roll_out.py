@@ -19,8 +19,8 @@ from configuration import backend, key, listener, role, rule, table
 from durability.process import until
 from hubkeys import HubKey
 from rcp_client import Client, connect
+from rcp_gateway.testing import ADMIN, OPERATOR, VIEWER, eventually
 from rcp_kernel.errors import RcpError, UnknownPath
-from rcp_kernel.testing import ADMIN, OPERATOR, VIEWER, eventually
 
 RCPD = Path(sys.executable).with_name("rcpd")
 PATH = "/system/configuration"

@@ -18,7 +18,7 @@ from backends.fleet.cart import Cart
 from backends.fleet.rig import SIM, appears, free_port, hub_at, process_of, robot_at, serving
 from configuration import backend, configuration, key, listener, table
 from rcp_client import ConnectionLost, connect
-from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
+from rcp_gateway.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
 from transports.cable import Cable
 
 pytestmark = pytest.mark.anyio

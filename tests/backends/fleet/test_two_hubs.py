@@ -25,7 +25,7 @@ from plugins.client.heard import Heard
 from plugins.client.test_codegen import node
 from rcp_client import Client as Person
 from rcp_client import ConnectionLost, connect
-from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
+from rcp_gateway.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
 
 pytestmark = pytest.mark.anyio
 _BOUND = 60.0  # s, on any machine

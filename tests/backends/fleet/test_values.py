@@ -15,9 +15,9 @@ pytest.importorskip("zenoh")
 from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
 from configuration import backend
 from rcp_fleet.values import RobotNumbers, RobotValue
+from rcp_gateway.testing import OPERATOR, Client, ScriptedRobot, Served, eventually, scripted
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Encoded, Host
-from rcp_kernel.testing import OPERATOR, Client, ScriptedRobot, Served, eventually, scripted
 from rcp_kernel.types import quantity
 from rcp_kernel.values import Encoding
 from transports.cable import Cable

@@ -12,8 +12,8 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega
 
 import rcp_mavlink
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import OPERATOR, serve_backend
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import OPERATOR, serve_backend
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
 LAT, LON = 47.0, 8.0

@@ -12,7 +12,7 @@ from backends.mavlink.flying import armed, on_the_ground
 from backends.mavlink.test_equipment import error
 from backends.mavlink.test_gateway import Pilot, flying
 from backends.mavlink.test_px4 import px4
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 PATH = "/tenant/t/action/calibrate"
 

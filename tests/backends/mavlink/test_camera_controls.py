@@ -12,7 +12,7 @@ from backends.mavlink.flying import airborne
 from backends.mavlink.puppet import Puppet, station
 from backends.mavlink.test_equipment import error, estop
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from backends.mavlink.puppet import Puppet, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 FIRST, SECOND = 100, 101
 GIB = 1024.0

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from backends.mavlink.puppet import Puppet, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink.clock import Clock
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.frames import Frame

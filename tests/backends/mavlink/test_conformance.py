@@ -23,8 +23,8 @@ from backends.mavlink.flying import (
 )
 from backends.mavlink.relay import COMMAND_ACK, HEARTBEAT, Relay, commander, relay
 from hurry import Hurried
+from rcp_gateway.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_kernel.errors import RcpError
-from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_mavlink.files import FileWrite, Remove
 from rcp_mavlink.follow_target import Target
 from rcp_mavlink.messages import Calibrate

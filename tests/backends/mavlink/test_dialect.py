@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from backends.mavlink.puppet import Puppet, station
+from rcp_gateway.testing import eventually
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.testing import eventually
 from rcp_mavlink.dialect import dialect
 
 OWN = """<?xml version="1.0"?>

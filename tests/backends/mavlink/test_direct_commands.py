@@ -10,8 +10,8 @@ import pytest
 
 from backends.mavlink.puppet import Puppet, station
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import ADMIN
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import ADMIN
 from rcp_mavlink.direct_commands import allowed
 
 FREE = {"SERVO9_FUNCTION": 0.0, "SERVO10_FUNCTION": 73.0, "RELAY2_FUNCTION": 1.0}

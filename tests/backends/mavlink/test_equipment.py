@@ -13,8 +13,8 @@ from backends.mavlink.puppet import station
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
 from backends.mavlink.test_px4 import Px4
 from backends.mavlink.test_px4 import airborne as px4_airborne
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import ADMIN
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import ADMIN
 from rcp_mavlink_sim.modes import Mode
 
 WITH = {

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from backends.mavlink.fileserver import BURST, PIECE, FileServer
 from backends.mavlink.puppet import Puppet, Station, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink.gaps import Gaps
 
 BIG = random.Random(7).randbytes(40_000)

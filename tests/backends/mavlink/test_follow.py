@@ -16,8 +16,8 @@ from backends.mavlink.flying import airborne, speed, twin
 from backends.mavlink.puppet import station
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
 from backends.mavlink.test_px4 import HOLD, Px4
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import OPERATOR, serve_backend
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import OPERATOR, serve_backend
 from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))

@@ -16,8 +16,8 @@ from backends.mavlink.test_equipment import estop
 from backends.mavlink.test_follow import DEGREE, KIND, ON, Px4Follower, ended, target
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
 from backends.mavlink.test_px4 import HOLD
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import OPERATOR, serve
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import OPERATOR, serve
 from rcp_mavlink import follow_limits
 from rcp_mavlink_sim.modes import Mode
 

@@ -12,8 +12,8 @@ import pytest
 
 import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, on_the_ground, speed, twin
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import ADMIN, OPERATOR, serve_backend
 from rcp_mavlink_sim import Twin
 from rcp_mavlink_sim.modes import Mode
 

@@ -11,7 +11,7 @@ import pytest
 from backends.mavlink.flying import airborne
 from backends.mavlink.puppet import Puppet, station
 from backends.mavlink.test_gateway import LAT, LON, flying
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 OWN, COMPANION = 154, 191
 TWO = {"parameters": {"DISARM_DELAY": 0.0, "MNT2_TYPE": 1.0, "MNT2_PITCH_MIN": -45.0}}

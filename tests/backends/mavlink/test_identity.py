@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from backends.mavlink.puppet import ARDUPILOT, PX4, Puppet, Station, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 _COMMIT = bytes.fromhex("1c8ab2a0da9db9b2")
 

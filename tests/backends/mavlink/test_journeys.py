@@ -15,7 +15,7 @@ from backends.mavlink.puppet import LAT, LON, Puppet, Station, station
 from backends.mavlink.test_gateway import Pilot, flying
 from backends.mavlink.test_px4 import Px4
 from backends.mavlink.test_px4 import airborne as airborne_px4
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink_sim import Vehicle
 from rcp_mavlink_sim.modes import Mode
 

@@ -11,7 +11,7 @@ import pytest
 from pymavlink import mavutil
 
 from backends.mavlink.puppet import LAT, Puppet, Station, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink.flightmodes import family
 
 PLANE, ROVER, BOAT, SUB, VTOL = 1, 10, 11, 12, 20

@@ -16,9 +16,9 @@ import websockets
 import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, twin
 from configuration import backend, key, listener
+from rcp_gateway.testing import eventually, serve
+from rcp_gateway.testing._serve import OPERATOR, serve_backend
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import eventually, serve
-from rcp_kernel.testing._serve import OPERATOR, serve_backend
 from rcp_mavlink.config import LinkSpec
 from rcp_mavlink.signing import key_of
 from rcp_mavlink_sim.modes import Mode

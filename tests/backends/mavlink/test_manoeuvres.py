@@ -14,7 +14,7 @@ from backends.mavlink.test_equipment import error, estop
 from backends.mavlink.test_gateway import LAT, LON, Pilot, flying
 from backends.mavlink.test_px4 import HOLD, MISSION, Px4, px4
 from backends.mavlink.test_px4 import airborne as px4_airborne
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.plans import Item
 

@@ -11,8 +11,8 @@ import pytest
 
 from backends.mavlink.fileserver import FileServer
 from backends.mavlink.puppet import PX4, Puppet, Station, station
+from rcp_gateway.testing import eventually
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.testing import eventually
 from rcp_mavlink.described import checked
 from rcp_mavlink.parameter_metadata import described
 

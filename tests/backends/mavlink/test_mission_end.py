@@ -9,7 +9,7 @@ import pytest
 
 from backends.mavlink.puppet import station
 from backends.mavlink.test_kinds import ROVER, Kind
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 AUTO, HOLD, RTL = 10, 4, 11
 ACTIVE, COMPLETE = 3, 5

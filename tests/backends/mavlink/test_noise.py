@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from backends.mavlink.puppet import Puppet, Station, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.signing import Signing, key_of
 

@@ -10,8 +10,8 @@ import pytest
 
 from backends.mavlink.puppet import PX4, Puppet, station
 from backends.mavlink.test_gateway import Pilot, flying
+from rcp_gateway.testing import eventually
 from rcp_kernel.errors import DeviceRejected, UnknownPath
-from rcp_kernel.testing import eventually
 from rcp_mavlink.parameter_defaults import unpacked
 from rcp_mavlink.parameter_files import FORMATS, Entry, Row, checked, is_state, parsed
 from rcp_mavlink.reversal import reversed_on_failure

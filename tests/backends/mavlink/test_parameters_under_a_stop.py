@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from backends.mavlink.test_gateway import Pilot, flying
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import ADMIN
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import ADMIN
 from rcp_mavlink.parameter_hazards import is_hazard
 
 HARMFUL = ("ARMING_REQUIRE", "SERVO1_TRIM", "MOT_PWM_MIN", "FLTMODE1", "PWM_MAIN_DIS1")

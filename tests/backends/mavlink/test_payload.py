@@ -13,7 +13,7 @@ from PIL import Image
 
 from backends.mavlink.fileserver import FileServer
 from backends.mavlink.puppet import Puppet, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 CAMERA, GIMBAL = 100, 154
 

@@ -15,7 +15,7 @@ from backends.mavlink.flying import agrees, airborne, on_the_ground, skip, speed
 from backends.mavlink.relay import commander
 from backends.mavlink.test_gateway import Pilot, flying
 from hurry import Hurried
-from rcp_kernel.testing import Body, ProfileSuite, Robot, eventually
+from rcp_gateway.testing import Body, ProfileSuite, Robot, eventually
 from rcp_mavlink import enu
 from rcp_mavlink.fences import is_enabled
 from rcp_mavlink.measurement import SETTLED

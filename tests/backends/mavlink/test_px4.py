@@ -16,7 +16,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mav
 
 from backends.mavlink.puppet import LAT, PX4, Puppet, Station, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink.flightmodes import family
 from rcp_mavlink.paramcoding import decoded, param_set
 

@@ -12,7 +12,7 @@ from backends.mavlink.flying import speed
 from backends.mavlink.test_equipment import error
 from backends.mavlink.test_metadata import schema_of
 from backends.mavlink.test_px4_twin import DEGREE, LAT, LON, Px4Pilot, px4
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.parameters_table import settable
 from rcp_mavlink_sim.px4.flight import HOLD

@@ -13,8 +13,8 @@ import pytest
 from backends.mavlink.flying import skip, speed
 from backends.mavlink.test_equipment import estop
 from backends.mavlink.test_gateway import KIND, LAT, LON, Pilot
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import serve_backend
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import serve_backend
 from rcp_mavlink_sim import Options, Vehicle, fly, vehicle_of
 from rcp_mavlink_sim.modes import Mode
 from rcp_mavlink_sim.px4.flight import HOLD

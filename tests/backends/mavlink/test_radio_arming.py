@@ -13,8 +13,8 @@ from backends.mavlink.flying import on_the_ground, skip, twin
 from backends.mavlink.puppet import Puppet, station
 from backends.mavlink.test_equipment import error, estop
 from backends.mavlink.test_gateway import KIND, Pilot, flying
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import serve_backend
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import serve_backend
 from rcp_mavlink import restart
 from rcp_mavlink_sim import Options, vehicle_of
 from rcp_mavlink_sim.modes import Mode

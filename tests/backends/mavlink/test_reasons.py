@@ -8,7 +8,7 @@ import rcp_mavlink.telemetry_events
 from backends.mavlink.flying import airborne, armed, on_the_ground
 from backends.mavlink.puppet import Puppet, Station, station
 from backends.mavlink.test_gateway import Pilot, flying
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 UNFIT = 0
 

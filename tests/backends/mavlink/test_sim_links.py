@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 import rcp_mavlink
+from rcp_gateway.testing import Client, eventually
+from rcp_gateway.testing._serve import OPERATOR, serve_backend
 from rcp_kernel.errors import NotReady
-from rcp_kernel.testing import Client, eventually
-from rcp_kernel.testing._serve import OPERATOR, serve_backend
 from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.hub import open_hub

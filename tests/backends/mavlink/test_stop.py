@@ -16,9 +16,9 @@ from backends.mavlink.flying import agrees, airborne, on_the_ground, speed, twin
 from backends.mavlink.puppet import Puppet, station
 from backends.mavlink.relay import COMMAND_ACK, HEARTBEAT, SET_MODE, Relay, commander, relay
 from backends.mavlink.twins import twin_process
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import ADMIN, OPERATOR, serve_backend
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import ADMIN, OPERATOR, serve_backend
 from rcp_mavlink.signing import key_of
 from rcp_mavlink_sim import Twin, Vehicle
 from rcp_mavlink_sim.modes import Mode

@@ -17,7 +17,7 @@ from backends.mavlink.puppet import PX4, Puppet, station
 from backends.mavlink.test_equipment import error
 from backends.mavlink.test_gateway import Pilot, flying
 from backends.mavlink.test_px4 import px4
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 from rcp_mavlink.corrections import pieces
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink_sim.adsb import Sighting

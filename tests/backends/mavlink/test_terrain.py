@@ -17,9 +17,9 @@ from backends.mavlink.flying import agrees, airborne, twin
 from backends.mavlink.puppet import PX4, Puppet, station
 from backends.mavlink.relay import relay
 from backends.mavlink.test_gateway import LAT, LON, Pilot
+from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import serve_backend
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.testing import eventually
-from rcp_kernel.testing._serve import serve_backend
 from rcp_mavlink.elevation import Elevation, tile_at
 from rcp_mavlink.terrain_feed import block
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from backends.mavlink.puppet import Puppet, Station, station
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 GUIDED, BRAKE = 4, 17
 ITEM = {"items": [{"command": "NAV_WAYPOINT", "latitude": 47.0, "longitude": 8.0}]}

@@ -16,8 +16,8 @@ import pytest
 
 import rcp_mujoco
 from backends.mujoco.physics import ELBOW, PUCK, model_of
-from rcp_kernel.testing import Served, eventually, serve_backend
-from rcp_kernel.testing._serve import ADMIN, OPERATOR
+from rcp_gateway.testing import Served, eventually, serve_backend
+from rcp_gateway.testing._serve import ADMIN, OPERATOR
 from rcp_kernel.values import value_type
 
 pytestmark = pytest.mark.anyio

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 import rcp_mujoco
-from rcp_kernel.testing import BackendSuite, Goal, StopRig, StopSuite
+from rcp_gateway.testing import BackendSuite, Goal, StopRig, StopSuite
 
 SLOW = 0.05  # m/s and rad/s
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 import rcp_mujoco
-from rcp_kernel.testing import Body, ProfileSuite
+from rcp_gateway.testing import Body, ProfileSuite
 
 KIND = next(iter(rcp_mujoco.rcp_backends()))
 WALL = 6.0 - 0.05  # m from the middle of the yard

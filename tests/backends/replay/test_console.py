@@ -11,8 +11,8 @@ import pytest
 
 from backends.replay.recorded import written
 from configuration import backend, key, listener, role, rule
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 from rcp_replay import rcp_backends
 
 pytestmark = pytest.mark.anyio

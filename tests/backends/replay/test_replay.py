@@ -14,8 +14,8 @@ import hurry
 from backends.replay.recorded import written
 from configuration import backend, key
 from hurry import Hurried
+from rcp_gateway.testing import MemoryClient, serve
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.testing import MemoryClient, serve
 from rcp_replay import rcp_backends
 from rcp_replay.config import ReplayConfig, check
 from rcp_replay.testing import replayed

@@ -11,8 +11,8 @@ import pytest
 import rcp_ros2
 from backends.ros2 import interfaces
 from backends.ros2.robot import BOUND, Jointed, fresh_domain, robot_of
-from rcp_kernel.testing import ProfileSuite, eventually
-from rcp_kernel.testing.backend._base import Robot
+from rcp_gateway.testing import ProfileSuite, eventually
+from rcp_gateway.testing.backend._base import Robot
 from rcp_kernel.values import value_type
 
 pytestmark = pytest.mark.skipif(not interfaces.have_tools(), reason="control_msgs cannot be built")

@@ -13,7 +13,7 @@ import rclpy.experimental.events_executor  # noqa: F401 - half a second that is 
 
 import rcp_ros2
 from backends.ros2.robot import Peer, fresh_domain
-from rcp_kernel.testing import BackendSuite, Goal, eventually
+from rcp_gateway.testing import BackendSuite, Goal, eventually
 
 DOMAIN = fresh_domain()
 PEER = Peer(DOMAIN, shared_memory=False)  # killed again and again, and started anew

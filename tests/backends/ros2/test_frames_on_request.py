@@ -14,9 +14,9 @@ import rcp_ros2
 from backends.ros2 import interfaces
 from backends.ros2.robot import BOUND, RobotNodes, Wheels, fresh_domain
 from configuration import backend, key, table
+from rcp_gateway.testing import MemoryClient, eventually, serve
+from rcp_gateway.testing._serve import OPERATOR
 from rcp_geometry import ecef, geodetic, local
-from rcp_kernel.testing import MemoryClient, eventually, serve
-from rcp_kernel.testing._serve import OPERATOR
 
 pytestmark = [
     pytest.mark.anyio,

@@ -44,7 +44,7 @@ from contextlib import asynccontextmanager
 
 import msgspec
 
-from rcp_kernel.hookspecs import hookimpl
+from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend
 

@@ -21,10 +21,10 @@ from backends.ros2 import interfaces
 from backends.ros2.robot import fresh_domain
 from configuration import backend, key, listener
 from docs.pages import ROOT
+from rcp_gateway.testing import eventually, serve
+from rcp_gateway.testing._serve import OPERATOR
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.testing import eventually, serve
-from rcp_kernel.testing._serve import OPERATOR
 
 pytestmark = [
     pytest.mark.anyio,

@@ -12,7 +12,7 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from backends.ros2.robot import BOUND, Peer
 from configuration import backend, key, listener, table
-from rcp_kernel.testing import decode, encode, serve
+from rcp_gateway.testing import decode, encode, serve
 from rcp_kernel.values import Encoding
 from rcp_ros2 import rcp_backends
 from serving import serving

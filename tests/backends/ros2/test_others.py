@@ -11,8 +11,8 @@ import pytest
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, Robot, robot_of
 from configuration import backend, key
+from rcp_gateway.testing import eventually, serve
 from rcp_kernel.errors import AdapterUnavailable, Cancelled, DeviceRejected, InvalidValue
-from rcp_kernel.testing import eventually, serve
 from rcp_kernel.values import Encoding, value_type
 
 pytestmark = pytest.mark.anyio

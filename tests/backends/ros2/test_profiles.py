@@ -11,8 +11,8 @@ import pytest
 import rcp_ros2
 from backends.ros2 import interfaces
 from backends.ros2.robot import BOUND, Wheels, fresh_domain
-from rcp_kernel.testing import Body, ProfileSuite, eventually
-from rcp_kernel.testing.backend._base import Robot
+from rcp_gateway.testing import Body, ProfileSuite, eventually
+from rcp_gateway.testing.backend._base import Robot
 
 pytestmark = pytest.mark.skipif(not interfaces.have_tools(), reason="nav2_msgs cannot be built")
 DOMAIN = fresh_domain()

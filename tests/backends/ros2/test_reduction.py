@@ -27,9 +27,9 @@ from configuration import backend, key, listener, table
 from plugins.foxglove.viewer import viewing
 from plugins.rosbridge.rig import OPERATOR, Page
 from rcp_foxglove import rcp_adapters
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, DeviceRejected
-from rcp_kernel.testing import serve
 from rcp_ros2 import Ros2Config
 from rcp_ros2.reduction import reduction
 from rcp_rosbridge import ROSBRIDGE

@@ -12,7 +12,7 @@ import pytest
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, Robot, fresh_domain, robot_of
 from configuration import backend, key
-from rcp_kernel.testing import Client, Message, serve
+from rcp_gateway.testing import Client, Message, serve
 from rcp_kernel.values import value_type
 from rcp_ros2 import Ros2Config, catalog
 from rcp_ros2.naming import Naming, nice

@@ -14,8 +14,8 @@ import pytest
 import rcp_ros2
 from backends.ros2.robot import BOUND, Fleet, robot_of
 from configuration import backend, key
+from rcp_gateway.testing import serve
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.testing import serve
 from timing import in_one_of_three_attempts, in_time
 
 pytestmark = pytest.mark.anyio

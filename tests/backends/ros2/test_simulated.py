@@ -11,7 +11,7 @@ import pytest
 import rcp_ros2
 from backends.ros2.robot import BOUND, Simulated, fresh_domain
 from configuration import backend, key
-from rcp_kernel.testing import Client, Message, eventually, serve
+from rcp_gateway.testing import Client, Message, eventually, serve
 
 pytestmark = pytest.mark.anyio
 

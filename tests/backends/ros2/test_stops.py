@@ -11,7 +11,7 @@ import rclpy.experimental.events_executor  # noqa: F401 - half a second that is 
 
 import rcp_ros2
 from backends.ros2.robot import BOUND, Base, Commander, fresh_domain
-from rcp_kernel.testing import Goal, StopRig, StopSuite, eventually
+from rcp_gateway.testing import Goal, StopRig, StopSuite, eventually
 
 DOMAIN = fresh_domain()
 BASE = Base(DOMAIN)

@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from rcp_gateway.testing import Client, Served, serve
 from rcp_kernel.config.file import GatewayConfig, load
-from rcp_kernel.testing import Client, Served, serve
 
 pytestmark = pytest.mark.anyio
 EXAMPLE = Path(__file__).parents[3] / "examples" / "fenced.toml"

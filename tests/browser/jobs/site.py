@@ -17,11 +17,11 @@ import rcp_mavlink
 import rcp_sim
 from browser.robots import until, value
 from configuration import backend, key, listener, role, rule, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.types import quantity
 from rcp_store.tokens import TokenFile
 

@@ -11,9 +11,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from kernel.world import CONFIG, World, prepared
+from rcp_gateway.features import ActiveFeature
+from rcp_gateway.server import running
 from rcp_kernel.access.authenticator import Authenticator
-from rcp_kernel.app.features import ActiveFeature
-from rcp_kernel.app.server import running
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.identity import Principal, fingerprint, granted
 from rcp_kernel.contract.peer import Peer

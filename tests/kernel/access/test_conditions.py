@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from kernel.world import BOUND, World
 from rcp_conditions import Condition
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.clock import Clock
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import SteppedClock
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.types import quantity
 

@@ -10,11 +10,11 @@ import pytest
 
 from issuer import Issuer, issuing
 from kernel.world import CONFIG, World, prepared, world_of
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import TokenExpired, Unauthenticated
-from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 

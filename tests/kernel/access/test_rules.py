@@ -10,13 +10,13 @@ import pytest
 
 from configuration import key
 from kernel.world import CONFIG, Client, World, world_of
-from rcp_kernel.app.server import prepare
+from rcp_gateway.server import prepare
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import SteppedClock
 from rcp_scheduling import turns
 
 pytestmark = pytest.mark.anyio

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sqlite3
 import sys
 from contextlib import closing
 from pathlib import Path
@@ -136,3 +137,18 @@ async def test_a_gateway_without_the_feature_knows_only_the_keys_of_its_configur
         world.client()
         with pytest.raises(Unauthenticated):
             world.client(key)
+
+
+def test_the_number_of_changes_grows_though_old_keys_are_deleted(store: Path) -> None:
+    """A running gateway looks at it: one that has been there already hides a new key from it."""
+    grants = (("*", ("viewer",)),)
+    with closing(TokenFile(store)) as table:
+        table.create("stays", grants, None)
+        table.create("goes", grants, None)
+        table.revoke("goes")
+        seen = table.version()
+        with closing(sqlite3.connect(store)) as base, base:
+            base.execute("UPDATE tokens SET revoked = 1 WHERE name = 'goes'")
+        table.create("new", grants, None)
+        assert [one.name for one in table.every()] == ["stays", "new"]
+        assert table.version() > seen

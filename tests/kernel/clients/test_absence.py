@@ -11,8 +11,8 @@ from kernel.world import BOUND, CONFIG, Client, World
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.model import Resource
-from rcp_kernel.streams import demand
 from rcp_kernel.types import quantity
+from rcp_streams import demand
 
 pytestmark = pytest.mark.anyio
 LAZY = "/tenant/alpha/sensor/lazy"

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from kernel.world import CONFIG, Client, World, prepared, world_of
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"

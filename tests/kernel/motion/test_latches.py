@@ -11,7 +11,7 @@ import pytest
 
 from configuration import backend, configuration, key, role, rule
 from kernel.world import BOUND, Client, World, kept_in, prepared, settled, world_of
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
 from rcp_kernel.config.file import parse
 
 pytestmark = pytest.mark.anyio

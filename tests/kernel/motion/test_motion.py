@@ -9,12 +9,12 @@ import pytest
 
 from configuration import backend
 from kernel.world import BOUND, CONFIG, Client, World, prepared
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
-from rcp_kernel.requests import write
 from rcp_kernel.safety import safety
 from rcp_kernel.types import Twist
+from rcp_requests import write
 
 pytestmark = pytest.mark.anyio
 FORWARD = {"linear": {"x": 1.0}}

@@ -7,7 +7,7 @@ import time
 import pytest
 
 from kernel.world import BOUND, Client, World
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.types import LinearVelocity, Twist
 
 pytestmark = pytest.mark.anyio

@@ -8,7 +8,7 @@ import pytest
 
 from kernel.world import World, world_of
 from rcp_kernel.model import Resource
-from rcp_kernel.requests.pages import MOST_BATCH
+from rcp_requests.pages import MOST_BATCH
 
 pytestmark = pytest.mark.anyio
 LONG = "x" * (MOST_BATCH // 8)

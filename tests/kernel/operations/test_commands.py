@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from kernel.world import World, kept_in, settled, world_of
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 GO = "/tenant/alpha/action/go"
@@ -294,7 +294,7 @@ async def test_a_key_is_remembered_for_a_day(world: World, stepped: SteppedClock
 async def test_ended_commands_are_remembered_within_a_number_of_bytes(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rcp_kernel.requests.journal._BYTES", 5000)
+    monkeypatch.setattr("rcp_requests.journal._BYTES", 5000)
     client = world.client()
     for _ in range(10):
         await client.ask(type="execute", path="/tenant/alpha/service/echo", body="x" * 300)

@@ -8,8 +8,8 @@ from inspect import CORO_CLOSED, getcoroutinestate
 from types import SimpleNamespace
 from typing import Any
 
-from rcp_kernel.requests.inflight import InFlight
 from rcp_kernel.wire import Reply, Request
+from rcp_requests.inflight import InFlight
 
 
 class _Deadlines:

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from kernel.world import World, world_of
-from rcp_kernel.requests.journal import CommandJournal
 from rcp_kernel.sessions.command import Command, Record
+from rcp_requests.journal import CommandJournal
 
 pytestmark = pytest.mark.anyio
 GO = {"type": "execute", "path": "/tenant/alpha/action/go", "body": 4.0}

@@ -19,8 +19,8 @@ from typing import Any, NoReturn
 
 from configuration import backend
 from kernel.world import CONFIG, Client, NoOptions, Robot, prepared
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.server import running
+from rcp_gateway.log import configure
+from rcp_gateway.server import running
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind, Host, Progress
 from rcpd.process import end_in_time, run_contained

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rcp_kernel.app.containment import ContainedBackend, PluginExit
+from rcp_gateway.containment import ContainedBackend, PluginExit
 from rcp_kernel.errors import UnsupportedOperation
 from rcp_kernel.spi import Backend, BaseBackend
 

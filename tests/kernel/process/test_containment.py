@@ -15,9 +15,9 @@ from types import ModuleType
 import pytest
 
 from configuration import backend, listener, table
-from rcp_kernel.app.plugins import Plugins
+from rcp_gateway.hookspecs import hookimpl
+from rcp_gateway.plugins import Plugins
 from rcp_kernel.config.file import parse
-from rcp_kernel.hookspecs import hookimpl
 
 pytestmark = pytest.mark.anyio
 _TESTS = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from structlog.testing import capture_logs
 
 from kernel.world import settled
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
 from rcp_kernel.errors import ConfigError
 from rcp_store.disk_store import DiskStore
 from rcp_store.modes import check_store_modes

@@ -11,11 +11,11 @@ import pytest
 
 from configuration import key, role, rule
 from kernel.world import BOUND, CONFIG, Client, NoOptions, Robot, prepared
-from rcp_kernel.app.server import Server, running
+from rcp_gateway.server import Server, running
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
 from rcp_kernel.spi import BackendKind, Host
-from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 

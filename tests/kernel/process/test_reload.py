@@ -16,8 +16,8 @@ from structlog.testing import capture_logs
 
 from configuration import backend, key, listener
 from kernel.world import BOUND, CONFIG, Client, NoOptions, Robot, prepared
-from rcp_kernel.app.reload import apply
-from rcp_kernel.app.server import Prepared, Server, running
+from rcp_gateway.reload import apply
+from rcp_gateway.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
 from rcp_kernel.spi import BackendKind, Host
@@ -123,7 +123,7 @@ async def test_a_bug_in_what_checks_a_reload_changes_nothing_and_is_logged(
     file = tmp_path / "rcp.toml"
     file.write_text(CONFIG)
     async with slow(CONFIG) as world:
-        monkeypatch.setattr("rcp_kernel.app.reload.prepare", broken)
+        monkeypatch.setattr("rcp_gateway.reload.prepare", broken)
         with capture_logs() as said:
             await reload(world.server, file)
         assert [one["event"] for one in said] == ["reload_failed"]

@@ -12,8 +12,8 @@ import pytest
 
 from configuration import backend
 from kernel.world import CONFIG, Client, NoOptions, Robot, World, prepared, world_of
-from rcp_kernel.app.reload import apply
-from rcp_kernel.app.server import Server, running
+from rcp_gateway.reload import apply
+from rcp_gateway.server import Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
 from rcp_kernel.spi import BackendKind, Host

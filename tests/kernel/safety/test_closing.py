@@ -12,10 +12,10 @@ from structlog.testing import capture_logs
 from configuration import backend
 from kernel.motion.test_latches import ADMIN, HEAD
 from kernel.world import BOUND, NoOptions
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
 
 pytestmark = pytest.mark.anyio
 TWO = HEAD + backend("quick", robot="r1") + backend("late", use="late", robot="r2")

@@ -23,9 +23,9 @@ from kernel.safety.scripted import (
     until_sent,
 )
 from kernel.world import BOUND, Client, World, kept_in, settled
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.clock import Clock
 from rcp_kernel.spi import MotionState
-from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 MOVING = MotionState(at_rest=False, detail="it moves at 2 m/s")

@@ -10,10 +10,10 @@ import pytest
 
 from kernel.world import World
 from rcp_kernel.model import Resource
-from rcp_kernel.streams.outbox import BUDGET
-from rcp_kernel.streams.shared_fanout import SharedFanout
+from rcp_kernel.sessions.outbox import BUDGET
 from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_kernel.values import Encoding
+from rcp_streams.shared_fanout import SharedFanout
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"

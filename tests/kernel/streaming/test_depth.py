@@ -7,9 +7,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from rcp_gateway.testing import OPERATOR, MemoryClient, ScriptedRobot, serve_backend
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress
-from rcp_kernel.testing import OPERATOR, MemoryClient, ScriptedRobot, serve_backend
 from rcp_kernel.values import DEPTH, Encoding
 
 pytestmark = pytest.mark.anyio

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from kernel.world import Client, World
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Publication
-from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist, quantity
 
 pytestmark = pytest.mark.anyio

@@ -13,8 +13,8 @@ import pytest
 
 from kernel.streaming.test_renewal import rules, until
 from kernel.world import Client, Robot, prepared
-from rcp_kernel.app.features import active
-from rcp_kernel.app.server import Server, running
+from rcp_gateway.features import active
+from rcp_gateway.server import Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind, SystemResource
 from rcp_kernel.model import Resource

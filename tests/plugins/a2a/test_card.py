@@ -25,7 +25,7 @@ from plugins.a2a.agent import VERSION, agent, caller, data, rpc, sent, text
 from plugins.a2a.rover import OPERATOR, rovers
 from rcp_a2a.signing import CardKey
 from rcp_a2a.skills import skills_of
-from rcp_kernel.api import Query
+from rcp_gateway.api import Query
 from rcp_kernel.errors import ConfigError
 from rcp_web.untrusted import TextMarker
 from transports.robot import Site

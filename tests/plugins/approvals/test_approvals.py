@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import asyncio
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from kernel.world import Client, World, features_of, world_of
+from configuration import key, role, rule
+from kernel.world import Client, World, features_of, kept_in, world_of
 from plugins.plans.planned import GO, PEOPLE, begun, code, echo, faults, go, run, states, step
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.features.approval import APPROVALS
-from rcp_kernel.testing import SteppedClock
 from rcp_kernel.values import Encoding
+from rcp_store.tokens import TokenFile
 
 AGENT, GUARD, OWNED = "agent-agent-agent", "guard-guard-guard", "owned-owned-owned"
 BLIND = "blind-blind-blind"
@@ -277,3 +281,36 @@ def _request(_world: World, id_: str) -> Any:
 
     data = f'{{"type": "execute", "path": "{GO}", "body": 2.0, "approval": "{id_}"}}'
     return decode_request(data.encode(), Encoding.JSON)
+
+
+async def test_an_approval_expires_though_the_clock_is_set_back(stepped: SteppedClock) -> None:
+    async with world_of(PEOPLE, clock=stepped.clock) as world:
+        agent, guard = world.client(AGENT), world.client(GUARD)
+        id_ = await asked(agent)
+        assert code(await decide(guard, id_)) == "completed"
+        stepped.adjust(-86_400)
+        stepped.advance(400)
+        assert code(await command(agent, approval=id_)) == "forbidden"
+        assert world.robot.started.empty()
+
+
+async def test_nobody_approves_with_another_credential_what_they_asked_for(tmp_path: Path) -> None:
+    both = role("both", rule("*", "/**"), rule("*", "/system/**"), may_approve=True, approve=[GO])
+    text = kept_in(
+        tmp_path / "store.db", PEOPLE + both + key("pat", "pat-pat-pat-pat-pat", role="both")
+    )
+    with closing(TokenFile(tmp_path / "store.db")) as tokens:
+        _, token = tokens.create("pat", (("*", ("both",)),), None)
+        _, another = tokens.create("sam", (("*", ("both",)),), None)
+    async with world_of(text) as world:
+        id_ = await asked(world.client("pat-pat-pat-pat-pat"))
+        again = world.client(token)
+        reply = await decide(again, id_)
+        assert code(reply) == "forbidden"
+        assert "your own command" in reply["message"]
+        kept = world.client(
+            "pat-pat-pat-pat-pat"
+        )  # nor in one session, which goes on with the token
+        await kept.ask(type="hello", body={"token": token})
+        assert code(await decide(kept, id_)) == "forbidden"
+        assert code(await decide(world.client(another), id_)) == "completed"

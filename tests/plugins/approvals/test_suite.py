@@ -6,8 +6,8 @@ import msgspec
 import pytest
 
 import rcp_approvals
+from rcp_gateway.testing import FeatureGateway, FeatureSuite
 from rcp_kernel.config.role import BUILTIN_ROLES
-from rcp_kernel.testing import FeatureGateway, FeatureSuite
 
 (KIND,) = rcp_approvals.rcp_features()
 

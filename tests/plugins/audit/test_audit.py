@@ -18,7 +18,7 @@ from click.testing import CliRunner
 from configuration import backend, configuration, key
 from kernel.world import BOUND, Client, World, kept_in, settled, until_trouble, world_of
 from rcp_audit.throttle import DenialThrottle
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 from rcpd.audit import audit
 from rcpd.examination import examined
 
@@ -351,6 +351,42 @@ async def test_old_records_are_deleted_and_the_chain_holds_from_there(tmp_path: 
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("DELETE FROM audit WHERE seq = ?", (verdict.first,))
     assert examined(path).findings
+
+
+async def test_a_clock_that_is_far_ahead_deletes_no_record_before_a_day_has_passed(
+    stepped: SteppedClock, tmp_path: Path
+) -> None:
+    text = kept_in(tmp_path / "store.db") + "[audit]\nkeep_days = 30\n"
+
+    async def kept(world: World) -> int:
+        store, found = world.server.kernel.store, list[int]()
+        query = "SELECT min(seq) FROM audit"
+        store.look(lambda base: base.execute(query).fetchone()[0], found.append)
+        await settled(store)
+        return found[0]
+
+    async with world_of(text, clock=stepped.clock) as world:
+        await world.client().ask(type="write", path=LIMIT, body=1.0)
+        stepped.adjust(400 * 86_400)
+        stepped.advance(100)
+        await world.client().ask(type="write", path=LIMIT, body=1.1)
+        assert await kept(world) == 1
+    async with world_of(text, clock=stepped.clock) as world:
+        stepped.adjust(400 * 86_400)  # once more, seen from the start on
+    async with world_of(text, clock=stepped.clock) as world:
+        stepped.advance(100)
+        await world.client().ask(type="write", path=LIMIT, body=1.2)
+        assert await kept(world) == 1
+        stepped.advance(90_000)
+        await until_pruned(world)
+        assert await kept(world) > 5
+
+
+async def until_pruned(world: World) -> None:
+    """Wait until old records are deleted."""
+    admin = world.client("admin-admin-admin")
+    await admin.ask(type="subscribe", path="/system/audit", body={"history": 100})
+    await admin.until(lambda m: m["type"] == "update" and m["body"]["what"] == "prune")
 
 
 async def test_no_reply_leaves_before_its_record_is_committed(

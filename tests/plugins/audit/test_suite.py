@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import rcp_audit
-from rcp_kernel.testing import FeatureSuite
+from rcp_gateway.testing import FeatureSuite
 
 (KIND,) = rcp_audit.rcp_features()
 

@@ -10,14 +10,14 @@ from typing import Any, Self
 import msgspec
 
 from configuration import backend, key, listener, table
-from rcp_kernel.app.features import active
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.plugins import Plugins
-from rcp_kernel.app.server import Prepared, Server, running
+from rcp_gateway.features import active
+from rcp_gateway.log import configure
+from rcp_gateway.plugins import Plugins
+from rcp_gateway.server import Prepared, Server, running
+from rcp_gateway.testing import ScriptedRobot
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import ScriptedRobot
 from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import value_type
 

@@ -140,7 +140,8 @@ class _Hubs:
         """Say that the second hub has run for long, and that all its robots have gateways."""
         asked = await self.second.next("read")
         assert asked["path"] == "/system/status"
-        body = {"started": "2026-05-29T14:00:00.000000000Z", "backends": [{"gateways": 1}]}
+        started = "2026-05-29T14:00:00.000000000Z"
+        body = {"started": started, "uptime": 86_400.0, "backends": [{"gateways": 1}]}
         await self.second.send(reply(asked, body))
 
 

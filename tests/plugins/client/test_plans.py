@@ -16,7 +16,7 @@ import pytest
 
 from configuration import backend, key, listener, role, table
 from rcp_client import Client, Feedback, connect
-from rcp_kernel.app.server import Server, prepare, running
+from rcp_gateway.server import Server, prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ApprovalRequired, Cancelled, DeviceRejected, UnknownPath
 

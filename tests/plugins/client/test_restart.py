@@ -11,6 +11,7 @@ from plugins.client.gateway import BOUND, OPERATOR, Gateway, Point
 from plugins.client.heard import Heard
 from plugins.client.proxy import Proxy
 from rcp_client import ConnectionLost, connect
+from rcp_kernel.clock import now
 from rcp_kernel.sessions.session import Session
 
 pytestmark = pytest.mark.anyio
@@ -166,3 +167,27 @@ async def test_a_session_outlives_its_gateway_and_its_subscription_goes_on(
             while (await anext(updates)).seq != 1:
                 pass
             assert subscription.duplicates == 0
+
+
+async def test_nor_after_a_restart_at_which_the_gateways_clock_was_set_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As a computer without a battery does, whose power was cut."""
+    heard = Heard()
+    async with (
+        asyncio.timeout(BOUND),
+        Gateway() as gateway,
+        Proxy(gateway.port) as proxy,
+        connect(proxy.url, token=OPERATOR, on_notice=heard) as client,
+    ):
+        running = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
+        await gateway.robot.started.get()
+        proxy.mute = "down"
+        await gateway.stop()
+        await heard.until("disconnected")
+        proxy.mute = None
+        monkeypatch.setattr("rcp_gateway.status.now", lambda: now() - 3_600 * 10**9)
+        await gateway.start()
+        with pytest.raises(ConnectionLost, match="is unknown whether"):
+            await running
+        assert gateway.robot.ran == []

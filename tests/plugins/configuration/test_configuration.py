@@ -8,7 +8,7 @@ import pytest
 
 from rcp_configuration import rcp_features
 from rcp_configuration.seal import SealError, SealKey, seal
-from rcp_kernel.testing import ADMIN, OPERATOR, FeatureSuite, serve
+from rcp_gateway.testing import ADMIN, OPERATOR, FeatureSuite, serve
 
 PATH = "/system/configuration"
 

@@ -12,12 +12,12 @@ import msgspec
 
 from configuration import backend, key, listener, role, rule, table
 from rcp_foxglove import rcp_adapters
+from rcp_gateway.testing import ScriptedRobot
+from rcp_gateway.testing._serve import Served, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import NativeType, Operation, Resource
 from rcp_kernel.spi import BackendKind, Host, Progress
-from rcp_kernel.testing import ScriptedRobot
-from rcp_kernel.testing._serve import Served, serve
 from rcp_kernel.types import PoseStamped, Twist, quantity
 
 OPERATOR = "operator-of-these-tests"

@@ -13,8 +13,8 @@ import pytest
 from configuration import key, role, rule, table
 from plugins.foxglove.rig import ADMIN, OPERATOR, WATCHER, Site, site
 from plugins.foxglove.viewer import BOUND, Viewer, viewing
+from rcp_gateway.testing import eventually
 from rcp_kernel.model import Resource
-from rcp_kernel.testing import eventually
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Twist, quantity
 
 pytestmark = pytest.mark.anyio

@@ -14,7 +14,7 @@ import rcp_asgi.socket
 from plugins.foxglove.rig import OPERATOR, Site, site
 from plugins.foxglove.viewer import BOUND, Viewer, viewing
 from rcp_foxglove import requests
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 pytestmark = pytest.mark.anyio
 WRONG: dict[str, str | bytes] = {

@@ -9,8 +9,8 @@ from websockets.exceptions import InvalidStatus
 
 from plugins.foxglove.viewer import viewing
 from rcp_foxglove import rcp_adapters
-from rcp_kernel.client_kinds import AdapterKind
-from rcp_kernel.testing import AdapterSuite
+from rcp_gateway.client_kinds import AdapterKind
+from rcp_gateway.testing import AdapterSuite
 
 
 class TestFoxglove(AdapterSuite):

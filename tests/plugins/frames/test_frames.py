@@ -12,10 +12,7 @@ from jsonschema import Draft202012Validator
 import rcp_frames
 from configuration import backend, key, role, rule, table
 from rcp_frames.shapes import Shape
-from rcp_geometry import ecef, geodetic, local
-from rcp_kernel.model import Resource
-from rcp_kernel.spi import Anchor, Host, RobotFacts
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     FeatureSuite,
     MemoryClient,
     ScriptedRobot,
@@ -24,7 +21,10 @@ from rcp_kernel.testing import (
     scripted,
     serve,
 )
-from rcp_kernel.testing._serve import Served
+from rcp_gateway.testing._serve import Served
+from rcp_geometry import ecef, geodetic, local
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Anchor, Host, RobotFacts
 from rcp_kernel.types import (
     AngularVelocity,
     LinearVelocity,

@@ -10,12 +10,12 @@ import msgspec
 import pytest
 
 from configuration import backend, configuration, key, role, rule, table
+from rcp_gateway.testing import MemoryClient, ScriptedRobot, SteppedClock, scripted, serve
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock, now
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import FrameWatch, Host
-from rcp_kernel.testing import MemoryClient, ScriptedRobot, SteppedClock, scripted, serve
-from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import AngularVelocity, LinearVelocity, PoseStamped
 from rcp_kernel.values import Encoding
 from rcp_profiles.messages import TwistStamped

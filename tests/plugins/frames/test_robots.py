@@ -13,9 +13,9 @@ import rcp_sim
 from backends.mavlink.flying import agrees, airborne
 from backends.mavlink.test_gateway import flying
 from configuration import backend, key, table
+from rcp_gateway.testing import MemoryClient, eventually, serve
+from rcp_gateway.testing._serve import OPERATOR
 from rcp_geometry import ecef, geodetic, local
-from rcp_kernel.testing import MemoryClient, eventually, serve
-from rcp_kernel.testing._serve import OPERATOR
 
 pytestmark = pytest.mark.anyio
 _YARD = (48.137154, 11.576124, 519.0)

@@ -16,9 +16,9 @@ import pytest
 from browser.robots import until
 from browser.worlds import free_port
 from configuration import backend, key, listener, role, rule, table
-from rcp_kernel.app.log import configure
+from rcp_gateway.log import configure
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.frames import Framer
 from rcp_mavlink.signing import Signing, key_of

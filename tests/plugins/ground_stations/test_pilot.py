@@ -11,10 +11,10 @@ from typing import Any
 import msgspec
 import pytest
 
+from rcp_gateway.testing import eventually
 from rcp_ground_stations.answers import Refusal
 from rcp_ground_stations.config import StationConfig
 from rcp_ground_stations.pilot import Pilot
-from rcp_kernel.testing import eventually
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.frames import Frame, Framer
 

@@ -26,9 +26,9 @@ import uvloop
 
 import rcp_guard_link
 from configuration import backend, configuration, key
-from rcp_kernel.app.features import active
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.server import Prepared, Server, running
+from rcp_gateway.features import active
+from rcp_gateway.log import configure
+from rcp_gateway.server import Prepared, Server, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host, MotionState, Progress, StopPlan, Watchdog

@@ -17,8 +17,8 @@ from typing import Any
 import uvloop
 
 from configuration import backend, configuration, key
-from rcp_kernel.app.log import configure
-from rcp_kernel.app.server import prepare, running
+from rcp_gateway.log import configure
+from rcp_gateway.server import prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.values import Encoding
 

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from kernel.world import CONFIG, Client, Robot, World, world_of
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.spi import MotionState, StopPlan, Watchdog
-from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 START = 120  # s until a guard process has started, on a machine that does much else

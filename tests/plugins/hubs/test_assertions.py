@@ -14,11 +14,11 @@ import pytest
 
 from configuration import backend, configuration, key, table
 from hubkeys import HubKey
-from rcp_kernel.app.reload import apply
-from rcp_kernel.app.server import prepare
+from rcp_gateway.reload import apply
+from rcp_gateway.server import prepare
+from rcp_gateway.testing import ADMIN, BOUND, OPERATOR, MemoryClient, Served, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, Forbidden, RcpError, TokenExpired, Unauthenticated
-from rcp_kernel.testing import ADMIN, BOUND, OPERATOR, MemoryClient, Served, serve
 
 pytest.importorskip("zenoh")
 pytestmark = pytest.mark.anyio

@@ -11,10 +11,7 @@ import pytest
 
 import rcp_inventory
 from configuration import backend, key, role, rule, table
-from rcp_inventory.inventory import Inventory
-from rcp_kernel.model import Operation, Resource
-from rcp_kernel.spi import Dimensions, Host, RobotFacts
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     FeatureGateway,
     FeatureSuite,
     MemoryClient,
@@ -22,7 +19,10 @@ from rcp_kernel.testing import (
     scripted,
     serve,
 )
-from rcp_kernel.testing._serve import Served
+from rcp_gateway.testing._serve import Served
+from rcp_inventory.inventory import Inventory
+from rcp_kernel.model import Operation, Resource
+from rcp_kernel.spi import Dimensions, Host, RobotFacts
 from rcp_kernel.types import PoseStamped, Twist
 from rcp_profiles import claim, offer, twist_limits
 from rcp_profiles.messages import BatteryState

@@ -13,9 +13,9 @@ from configuration import configuration, key
 from issuer import Issuer, who
 from kernel.world import CONFIG, Client, prepared, world_of
 from offering import withhold
-from rcp_kernel.app import plugins
-from rcp_kernel.app.reload import apply
-from rcp_kernel.app.server import prepare, running
+from rcp_gateway import plugins
+from rcp_gateway.reload import apply
+from rcp_gateway.server import prepare, running
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, PluginError, Unauthenticated
 
@@ -120,7 +120,7 @@ import sys
 sys.modules["jwt"] = None
 sys.modules["cryptography"] = None
 import asyncio
-from rcp_kernel.app.server import prepare, running
+from rcp_gateway.server import prepare, running
 from rcp_kernel.config.file import parse
 async def main():
     text = {QUIET + KEY!r}

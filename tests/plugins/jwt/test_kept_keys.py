@@ -8,9 +8,9 @@ import msgspec
 import pytest
 
 from issuer import Key
+from rcp_gateway.testing import SteppedClock
 from rcp_jwt.jwks import PublicKey, read_set
 from rcp_jwt.kept_keys import KeptKeys
-from rcp_kernel.testing import SteppedClock
 
 DAY = 86_400.0
 EARLIER = SteppedClock()

@@ -9,14 +9,14 @@ import pytest
 
 from issuer import Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, prepared, world_of
+from rcp_gateway.reload import apply
+from rcp_gateway.testing import SteppedClock
 from rcp_jwt import documents, issuers
-from rcp_kernel.app.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Unauthenticated,
 )
-from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 

@@ -18,13 +18,13 @@ from kernel.world import settled
 from openid import CLIENT, free_port, login_table
 from plugins.jwt.people import BACK, LOGIN, TOP, back, people_logging_in, sent
 from plugins.jwt.test_login_table import reloaded
+from rcp_gateway.testing import SteppedClock
 from rcp_jwt import code_flow, verified
 from rcp_jwt.spent import SpentStates
 from rcp_jwt.verified import LoginProofs, Verified
 from rcp_jwt.webtokens import Read
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.testing import SteppedClock
 from transports.robot import BOUND, Site, site, until
 
 pytestmark = pytest.mark.anyio

@@ -20,8 +20,8 @@ from issuer import Issuer, issuing
 from kernel.world import prepared, settled
 from openid import CLIENT, SECRET, login_table
 from plugins.jwt.people import BACK, BEGIN, LOGIN, TOP, back, people_logging_in
+from rcp_gateway.server import prepare
 from rcp_jwt import authenticator
-from rcp_kernel.app.server import prepare
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
 from transports.robot import BOUND, Site, site

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 from configuration import configuration
 from issuer import AUDIENCE, Issuer, Key, issuing, who
 from kernel.world import CONFIG, World, world_of
+from rcp_gateway.server import prepare
 from rcp_jwt.config import JwtConfig
 from rcp_jwt.issuers import Issuers
 from rcp_jwt.webtokens import read_token, verify
-from rcp_kernel.app.server import prepare
 from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import (

@@ -10,8 +10,7 @@ import pytest
 
 import rcp_layouts
 from configuration import backend, key, role, rule, table
-from rcp_kernel.spi import Host
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     FeatureGateway,
     FeatureSuite,
     MemoryClient,
@@ -19,7 +18,8 @@ from rcp_kernel.testing import (
     scripted,
     serve,
 )
-from rcp_kernel.testing._serve import Served
+from rcp_gateway.testing._serve import Served
+from rcp_kernel.spi import Host
 
 pytestmark = pytest.mark.anyio
 (KIND,) = rcp_layouts.rcp_features()

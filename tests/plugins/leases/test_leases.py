@@ -11,8 +11,8 @@ import pytest
 
 from configuration import key
 from kernel.world import BOUND, CONFIG, Client, World, kept_in, settled, world_of
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.clock import Clock
-from rcp_kernel.testing import SteppedClock
 from rcp_kernel.types import Twist
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
@@ -390,6 +390,23 @@ async def test_a_lease_outlives_the_gateway_that_gave_it(tmp_path: Path) -> None
         listed = (await client.ask(type="read", path="/system/leases"))["body"]
         assert [one["lease"] for one in listed] == [before.lease]
         assert listed[0]["expires"] == before.expires
+
+
+async def test_a_lease_does_not_outlast_a_clock_that_was_set_back_over_a_restart(
+    stepped: SteppedClock, tmp_path: Path
+) -> None:
+    text = kept_in(tmp_path / "rcp.db", CONFIG + PEOPLE)
+    async with world_of(text, clock=stepped.clock) as world:
+        await lease(world.client(AGENT), "acquire", scope="/tenant/alpha")
+        await settled(world.server.kernel.store)
+    stepped.adjust(-7 * 86_400)
+    async with world_of(text, clock=stepped.clock) as world:
+        other = world.client()
+        reply = await other.ask(type="write", path="/param/limit", body=1.0)
+        assert reply["error"]["code"] == "lease_held"
+        stepped.advance(4_000)
+        reply = await other.ask(type="write", path="/param/limit", body=1.0)
+        assert reply["status"] == "completed", reply
 
 
 async def test_a_repeated_request_for_a_lease_does_nothing_again(world: World) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import rcp_leases
-from rcp_kernel.testing import FeatureGateway, FeatureSuite
+from rcp_gateway.testing import FeatureGateway, FeatureSuite
 
 (KIND,) = rcp_leases.rcp_features()
 

@@ -11,11 +11,7 @@ import pytest
 
 import rcp_logins
 from configuration import backend, key
-from rcp_kernel.clock import Clock
-from rcp_kernel.config.file import parse
-from rcp_kernel.errors import RcpError
-from rcp_kernel.spi import Host
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     BOUND,
     FeatureGateway,
     FeatureSuite,
@@ -25,7 +21,11 @@ from rcp_kernel.testing import (
     scripted,
     serve,
 )
-from rcp_kernel.testing._serve import Served
+from rcp_gateway.testing._serve import Served
+from rcp_kernel.clock import Clock
+from rcp_kernel.config.file import parse
+from rcp_kernel.errors import RcpError
+from rcp_kernel.spi import Host
 from rcp_web.logins import LOGINS, LoginService, NewLogin
 
 pytestmark = pytest.mark.anyio

@@ -10,7 +10,7 @@ import msgspec
 from mcp import types
 
 from plugins.mcp.rig import Robot
-from rcp_kernel.client_api import ClientApi
+from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress

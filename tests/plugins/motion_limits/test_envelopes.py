@@ -20,8 +20,8 @@ from kernel.fenced import (
     reached,
     reconfigured,
 )
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.access.conditions import RATE
-from rcp_kernel.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 

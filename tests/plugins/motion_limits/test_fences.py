@@ -22,7 +22,7 @@ from kernel.fenced import (
 )
 from kernel.world import BOUND
 from plugins.audit.test_audit import records
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.types import Twist
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request

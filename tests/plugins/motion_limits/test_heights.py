@@ -8,10 +8,10 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from configuration import backend, key, role, rule
+from rcp_gateway.testing import ScriptedRobot, SteppedClock, scripted, serve
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import ScriptedRobot, SteppedClock, scripted, serve
-from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import Point, PoseStamped
 from rcp_profiles.messages import MoveTo
 

@@ -10,7 +10,7 @@ import pytest
 
 from kernel.fenced import CONFIG, code
 from kernel.world import Robot, World, features_of, world_of
-from rcp_kernel.app.features import ActiveFeature
+from rcp_gateway.features import ActiveFeature
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import OutOfRange
 from rcp_kernel.model import Resource

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 import rcp_motion_limits
-from rcp_kernel.testing import FeatureGateway, FeatureSuite
+from rcp_gateway.testing import FeatureGateway, FeatureSuite
 
 (KIND,) = rcp_motion_limits.rcp_features()
 

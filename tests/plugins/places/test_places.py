@@ -13,10 +13,7 @@ import pytest
 
 import rcp_places
 from configuration import backend, key, role, rule, table
-from rcp_kernel.config.file import parse
-from rcp_kernel.errors import ConfigError
-from rcp_kernel.spi import Host
-from rcp_kernel.testing import (
+from rcp_gateway.testing import (
     FeatureGateway,
     FeatureSuite,
     MemoryClient,
@@ -24,7 +21,10 @@ from rcp_kernel.testing import (
     scripted,
     serve,
 )
-from rcp_kernel.testing._serve import Served
+from rcp_gateway.testing._serve import Served
+from rcp_kernel.config.file import parse
+from rcp_kernel.errors import ConfigError
+from rcp_kernel.spi import Host
 from rcp_kernel.types import Point, PoseStamped
 from rcp_places.config import GivenPlace, PlacesConfig, check
 from rcp_places.messages import Position
@@ -285,3 +285,10 @@ class TestPlaces(FeatureSuite):
     @pytest.mark.xfail(reason="the built-in viewer may see places", strict=True)
     async def test_nothing_of_it_is_seen_without_a_right(self, gateway: FeatureGateway) -> None:
         await super().test_nothing_of_it_is_seen_without_a_right(gateway)
+
+
+async def test_the_middle_of_a_very_large_area_is_a_number(site: Served) -> None:
+    alfred = site.client(ALPHA)
+    corners = [{"x": x, "y": y} for x, y in ((0, 0), (1.5e308, 0), (1.5e308, 2))]
+    await edit(alfred, name="huge", frame="map", corners=corners)
+    assert math.isfinite((await goal(alfred, {"place": "huge"}))["position"]["x"])

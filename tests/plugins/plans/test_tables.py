@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rcp_kernel.app.features import active
+from rcp_gateway.features import active
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
 from rcp_plans import rcp_features

@@ -20,7 +20,7 @@ from hypothesis.stateful import (
 
 from kernel.world import Client, World, prepared, world_of
 from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, at_home, usages_of
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
 from rcp_quotas.usage import QuotaUsage

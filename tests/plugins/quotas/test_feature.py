@@ -9,10 +9,10 @@ from configuration import configuration
 from kernel.world import CONFIG, world_of
 from offering import withhold
 from plugins.quotas.home import SLOW, at_home
-from rcp_kernel.app.server import Prepared, prepare
+from rcp_gateway.server import Prepared, prepare
+from rcp_gateway.testing import FeatureSuite
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, PluginError
-from rcp_kernel.testing import FeatureSuite
 
 pytestmark = pytest.mark.anyio
 (KIND,) = rcp_quotas.rcp_features()

@@ -10,7 +10,7 @@ import pytest
 from configuration import key, table
 from kernel.world import BOUND, Client, prepared, world_of
 from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, at_home, usages_of
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import QueueFull
 

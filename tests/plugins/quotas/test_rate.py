@@ -11,10 +11,10 @@ import pytest
 from configuration import key
 from kernel.world import World, prepared, world_of
 from plugins.quotas.home import AGENT, ANN, BOB, LEVEL, SECOND, SLOW, at_home, usages_of
-from rcp_kernel.app.reload import apply
+from rcp_gateway.reload import apply
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RateLimited
-from rcp_kernel.testing import SteppedClock
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import Request
 from rcp_quotas import Quota

@@ -12,11 +12,11 @@ import httpx
 
 import rcp_recorder
 from configuration import backend, key, listener, role, rule, table
+from rcp_gateway.testing import MemoryClient, ScriptedRobot, scripted, serve
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import MemoryClient, ScriptedRobot, scripted, serve
-from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import PoseStamped, quantity
 from rcp_recordings.names import ACTIVE, NOTICE
 from rcp_recordings.names import KIND as KIND_OF

@@ -16,8 +16,8 @@ from mcap.reader import make_reader
 from configuration import backend, key, listener
 from plugins.recorder.gateway import ADMIN, HALF, Gateway, recording
 from rcp_client import connect
+from rcp_gateway.testing import Message, serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import Message, serve
 from rcp_kernel.types import PoseStamped
 from rcp_recorder.queries import COPIES, PAGES, WAITING
 

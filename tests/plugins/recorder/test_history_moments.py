@@ -9,7 +9,7 @@ import pytest
 
 from plugins.recorder.gateway import ADMIN, HALF, Gateway, recording
 from rcp_client import connect
-from rcp_kernel.testing import Message
+from rcp_gateway.testing import Message
 from rcp_kernel.values import Encoding, parse
 from rcp_recorder.pages import Page
 

@@ -15,11 +15,11 @@ from mcap.reader import SeekingReader
 import rcp_recorder
 from configuration import backend, key, role, rule, table
 from plugins.recorder.files import Line, lines, topics
+from rcp_gateway.testing import FeatureSuite, MemoryClient, ScriptedRobot, scripted, serve
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, RobotFacts
-from rcp_kernel.testing import FeatureSuite, MemoryClient, ScriptedRobot, scripted, serve
-from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import quantity
 from rcp_profiles.messages import BatteryState
 

@@ -22,7 +22,7 @@ from rcp_recorder.channels import Message, Stream
 from rcp_recorder.config import RecorderConfig
 from rcp_recorder.kept import INCIDENT
 from rcp_recorder.mcap_file import OpenFile
-from rcp_recorder.repair import repair
+from rcp_recorder.repair import DAMAGED, repair
 from rcp_recorder.writer import Writer
 from rcp_recordings.names import ACTIVE
 
@@ -145,6 +145,40 @@ def test_a_damaged_chunk_ends_what_is_read(whole: Path) -> None:
     done = repair(whole)
     assert done is not None
     assert len(lines(done)) in (10, 20)
+
+
+@pytest.mark.parametrize("place", [0.02, 0.4])
+def test_a_file_with_damage_before_its_end_is_kept_beside_what_is_read(
+    whole: Path, place: float
+) -> None:
+    """As a power failure leaves it, after which later blocks are there and earlier ones are not."""
+    data = bytearray(whole.read_bytes())
+    hole = int(len(data) * place)
+    data[hole : hole + 64] = bytes(64)
+    whole.write_bytes(data)
+    with writing(whole.parent) as writer:
+        until(lambda: writer._ready, "it is open")  # noqa: SLF001 - there is nothing else to see
+        assert writer.catalogue.damaged == 1
+    assert Path(f"{whole}{DAMAGED}").read_bytes() == data
+    assert [len(lines(file)) for file in complete(whole.parent)] == ([] if place < 0.1 else [10])
+
+
+def test_no_length_that_is_wrong_keeps_the_recorder_from_recording(whole: Path) -> None:
+    data = whole.read_bytes()
+    for place in range(len(data) // 3, len(data) // 3 * 2, 3):
+        damaged = data[:place] + b"\xff" * 8 + data[place + 8 :]
+        whole.write_bytes(damaged)
+        repair(whole)
+        for file in whole.parent.iterdir():
+            file.unlink()
+
+
+def test_a_file_whose_last_blocks_were_not_written_is_not_damaged(whole: Path) -> None:
+    whole.write_bytes(whole.read_bytes() + bytes(1 << 20))
+    done = repair(whole)
+    assert done is not None
+    assert len(lines(done)) == 30
+    assert not Path(f"{whole}{DAMAGED}").exists()
 
 
 def test_files_roll_by_size_and_each_is_complete(tmp_path: Path) -> None:

@@ -13,9 +13,9 @@ import msgspec
 from websockets.asyncio.client import ClientConnection, connect
 
 from configuration import backend, key, listener, table
+from rcp_gateway.testing import Served, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind
-from rcp_kernel.testing import Served, serve
 from rcp_rosbridge import ROSBRIDGE
 
 BOUND = 20.0  # s that any wait of a test may take

@@ -11,7 +11,7 @@ from websockets.exceptions import InvalidStatus
 
 from configuration import backend, key, role, rule
 from plugins.rosbridge.rig import OPEN, OPERATOR, ROVER, page, site
-from rcp_kernel.testing import eventually
+from rcp_gateway.testing import eventually
 
 CLOSED = "anonymous = false\n"
 GUEST = "guest-of-these-tests"

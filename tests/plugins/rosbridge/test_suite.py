@@ -8,7 +8,7 @@ import json
 from websockets.asyncio.client import connect
 from websockets.exceptions import WebSocketException
 
-from rcp_kernel.testing import AdapterSuite
+from rcp_gateway.testing import AdapterSuite
 from rcp_rosbridge import ROSBRIDGE
 
 

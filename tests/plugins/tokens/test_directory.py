@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from configuration import backend, key, table
+from rcp_gateway.testing import ScriptedRobot, scripted, serve
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import ScriptedRobot, scripted, serve
-from rcp_kernel.testing._serve import Served
 from rcp_store.tokens import TokenFile
 
 pytestmark = pytest.mark.anyio

@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("zenoh")
 
 from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
-from rcp_kernel.testing import OPERATOR
+from rcp_gateway.testing import OPERATOR
 from rcp_protocol.trace import trace_of
 
 TRACE = "4bf92f3577b34da6a3ce929d0e0e4736"

@@ -17,9 +17,9 @@ import rcp_client
 from configuration import backend, key, listener, table
 from plugins.a2a.agent import VERSION, data
 from plugins.mcp.rig import Caller
+from rcp_gateway.testing import OPERATOR, Served, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import RcpError
-from rcp_kernel.testing import OPERATOR, Served, serve
 from rcp_protocol.trace import Trace, carried, current_trace, trace_of, traced
 
 pytestmark = pytest.mark.anyio

@@ -11,12 +11,12 @@ from typing import Any
 import rcp_triggers
 from configuration import backend, key, role, rule, table
 from plugins.triggers.receiver import KEY
+from rcp_gateway.testing import MemoryClient, ScriptedRobot, scripted, serve
+from rcp_gateway.testing._serve import Served
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
-from rcp_kernel.testing import MemoryClient, ScriptedRobot, scripted, serve
-from rcp_kernel.testing._serve import Served
 from rcp_kernel.types import quantity
 
 (KIND,) = rcp_triggers.rcp_features()

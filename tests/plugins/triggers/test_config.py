@@ -11,7 +11,7 @@ import pytest
 import rcp_recorder
 from configuration import backend, configuration, key, table
 from plugins.triggers.gateway import ADMIN, KIND, gateway, webhook
-from rcp_kernel.app.features import active
+from rcp_gateway.features import active
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError
 

@@ -15,7 +15,7 @@ from aiosmtpd.smtp import SMTP
 from certs import Authority
 from plugins.triggers.gateway import Rig, gateway, webhook
 from plugins.triggers.receiver import receiver
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 
@@ -172,6 +172,22 @@ async def test_one_that_is_refused_or_too_old_is_dropped_and_told(stepped: Stepp
             ops.status = 200
             await fire(rig, 3)
             await ops.count(1)
+
+
+async def test_a_clock_that_is_set_forward_makes_none_too_old(stepped: SteppedClock) -> None:
+    """As NTP does once there is a network, by which alone they can be delivered."""
+    async with (
+        receiver(now=lambda: stepped.now() / 1e9) as ops,
+        gateway(clock=stepped.clock, targets={"ops": webhook(ops.url)}) as rig,
+    ):
+        await rig.made(**FAULT)
+        await ops.down()
+        await fire(rig, 1)
+        await rig.eventually(lambda: _failing(rig))
+        stepped.adjust(30 * 86_400)
+        await ops.up()
+        stepped.advance(60)
+        await ops.count(1)
 
 
 async def test_a_full_queue_drops_the_oldest() -> None:

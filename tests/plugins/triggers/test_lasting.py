@@ -11,8 +11,8 @@ import pytest
 from issuer import issuing
 from plugins.triggers.gateway import OPERATOR, Rig, gateway, webhook
 from plugins.triggers.receiver import receiver
+from rcp_gateway.testing import MemoryClient
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.testing import MemoryClient
 from rcp_web.logins import LOGINS
 
 pytestmark = pytest.mark.anyio

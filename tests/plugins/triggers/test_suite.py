@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import rcp_triggers
-from rcp_kernel.testing import FeatureSuite
+from rcp_gateway.testing import FeatureSuite
 
 (KIND,) = rcp_triggers.rcp_features()
 

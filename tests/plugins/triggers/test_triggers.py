@@ -18,7 +18,7 @@ from plugins.triggers.gateway import (
     Rig,
     gateway,
 )
-from rcp_kernel.testing import SteppedClock
+from rcp_gateway.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 

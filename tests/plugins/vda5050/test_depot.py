@@ -14,8 +14,8 @@ import pytest
 
 from docs.pages import ROOT
 from plugins.vda5050.broker import MOSQUITTO, broker
+from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import serve
 
 pytestmark = [
     pytest.mark.anyio,

@@ -15,8 +15,8 @@ import pytest
 from configuration import backend, configuration, key, table
 from plugins.vda5050.broker import MOSQUITTO, Cable, Master, broker, cable, master
 from plugins.vda5050.test_orders import action, order
+from rcp_gateway.testing import Client, serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.testing import Client, serve
 from rcp_vda5050.link import NotStoppedError, Running
 
 pytestmark = [

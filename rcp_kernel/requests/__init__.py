@@ -1,1 +1,0 @@
-"""Each kind of request, from its envelope to its final reply and its record."""

@@ -1,1 +1,0 @@
-"""The way of samples to subscribers, and the data queued for them."""
