@@ -9,20 +9,19 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import (
-    Awaitable,
     Callable,
     Generator,
     Iterable,
     Iterator,
     Mapping,
-    MutableMapping,
 )
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
+from rcp_gateway.mounts import Asgi, Mount, Mounts
 from rcp_kernel.access.acl import Rights, Rules
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.visibility import Visibility
@@ -35,12 +34,11 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import (
     AdapterUnavailable,
     Forbidden,
-    PluginError,
     RateLimited,
     RcpError,
     Unauthenticated,
 )
-from rcp_kernel.features.services import ServiceKey, ServiceLookup
+from rcp_kernel.features.services import FeatureServices, ServiceKey
 from rcp_kernel.model import NativeType, Pattern
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.hello import Hello
@@ -60,62 +58,22 @@ from rcp_scheduling.turns import Turns
 from rcp_store.plugin_store import PluginStore
 from rcp_store.store import Store
 
-__all__ = ["ClientApi", "ClientApiParts", "Mount", "Proofs", "StatusView"]
+__all__ = ["Asgi", "ClientApi", "ClientApiParts", "Mount", "Proofs"]
 
 T = TypeVar("T")
 
-Scope = MutableMapping[str, Any]
-Asgi = Callable[
-    [Scope, Callable[[], Awaitable[Any]], Callable[[Any], Awaitable[None]]], Awaitable[None]
-]
-
-
-class Mount(msgspec.Struct, frozen=True, kw_only=True):
-    """A part of the HTTP tree that a plugin serves through the listener of another one."""
-
-    name: str
-    """Who offers it, for logs and errors."""
-    prefix: str
-    """Path below which (and at which) requests go to `app`; the longest prefix wins."""
-    suffix: str = ""
-    """Only paths that end in it, ahead of every mount without one."""
-    kind: Literal["http", "websocket"] = "http"
-    app: Asgi
-    """A plain ASGI application; `scope["path"]` is the whole path."""
-    port: int | None = None
-    """A port of its own, which serves nothing else; None: that of the listener. It must be mounted
-    before the listener opens."""
-    url_secrets: frozenset[str] = frozenset()
-    """Parameters of the URL that may contain a secret, which is refused otherwise."""
-    openapi: Callable[[Session], Awaitable[dict[str, Any]]] | None = None
-    """Returns `paths` and `components` of the OpenAPI document for what a session sees of this
-    mount;
-    parts may be encoded already (`msgspec.Raw`). Long work waits for `turns`."""
-
 
 class Proofs(msgspec.Struct, frozen=True, kw_only=True):
-    """By what clients may prove who they are, for what describes the gateway to them."""
+    """The ways in which clients may authenticate, for descriptions of the gateway."""
 
     anonymous: bool
-    """Whether something is there for those who prove nothing."""
+    """Whether anonymous clients may do anything."""
     bearer: bool
     """Keys, or tokens of any kind, in `Authorization: Bearer`."""
     certificates: bool
     """Client certificates."""
     issuers: tuple[str, ...] = ()
     """Issuers of tokens that describe themselves by OpenID Connect Discovery."""
-
-
-class StatusView(Protocol):
-    """The gateway's health report."""
-
-    def ready(self) -> tuple[bool, dict[str, str]]:
-        """Tell whether every backend is ready, and each one's state."""
-        ...
-
-    def absent_adapters(self) -> dict[str, str]:
-        """Return the adapters that are installed and do not run, each with the reason and remedy."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,13 +91,14 @@ class ClientApiParts:
     outbound: Outbound
     discovery: Discovery
     access: CommandAccess
-    features: ServiceLookup
+    services: FeatureServices
     replies: ReplyGate
     events: RequestEvents
     counts: RequestCounts
     store: Store
     is_stop: Callable[[Session, Request], bool]
-    status: StatusView
+    ready: Callable[[], tuple[bool, dict[str, str]]]
+    absent_adapters: Callable[[], dict[str, str]]
     exposition: Callable[[Rights], Generator[None, None, bytes]]
     """Writes the Prometheus exposition for a principal, in steps."""
     turns: Turns
@@ -149,16 +108,16 @@ class ClientApiParts:
 class ClientApi:
     """The gateway as transports and adapters see it. For the event loop's thread only."""
 
-    def __init__(self, parts: ClientApiParts, name: str, mounts: list[Mount]) -> None:
+    def __init__(self, parts: ClientApiParts, name: str, mounts: Mounts) -> None:
         self._parts = parts
         self._handle = parts.connections.handle
         self._read_at_once = parts.connections.at_once["read"]
         self.name = name
-        """The transport's word in sessions, counts and metrics."""
+        """The transport's name in sessions, counts and metrics."""
         self.mounts = mounts
 
     def renamed(self, name: str) -> ClientApi:
-        """Return the same client_api under another transport's name; mounts are shared."""
+        """Return the same API under another transport's name; mounts are shared."""
         return ClientApi(self._parts, name, self.mounts)
 
     @property
@@ -173,7 +132,7 @@ class ClientApi:
 
     @property
     def turns(self) -> Turns:
-        """Who may use the loop when; work for a principal is owned by its `identity`."""
+        """Turns of the event loop; work for a principal is owned by its `identity`."""
         return self._parts.turns
 
     def generation(self, session: Session) -> int:
@@ -182,7 +141,7 @@ class ClientApi:
 
     @property
     def secure(self) -> bool:
-        """Whether strangers may do nothing: they have no role, or one that allows nothing."""
+        """Whether anonymous clients may do nothing: they have no role, or one that allows nothing."""
         return self._parts.settings.config.closed
 
     @property
@@ -202,7 +161,7 @@ class ClientApi:
 
     @property
     def proofs(self) -> Proofs:
-        """By what clients may prove who they are."""
+        """The ways in which clients may authenticate."""
         config, identities = self._parts.settings.config, self._parts.identities
         return Proofs(
             anonymous=not config.closed,
@@ -212,12 +171,12 @@ class ClientApi:
         )
 
     def shelf(self, table: str) -> PluginStore:
-        """Return a table of the caller's own in the gateway's store."""
+        """Return one of the plugin's own tables in the gateway's store."""
         return PluginStore(self._parts.store, f"{self.name}.{table}")
 
     @property
     def issuers(self) -> list[str]:
-        """Who gives out tokens that this gateway takes, for clients that look for one."""
+        """URLs of the issuers whose tokens this gateway accepts."""
         return [one.url for one in self._parts.identities.issuers]
 
     def mount(self, mount: Mount) -> None:
@@ -225,12 +184,7 @@ class ClientApi:
 
         :raises PluginError: another plugin serves the same prefix, or has the same port.
         """
-        for other in self.mounts:
-            if _place(other) == _place(mount):
-                raise PluginError(f"'{mount.name}' and '{other.name}' both serve {mount.prefix}")
-            if mount.port and mount.port == other.port and mount.name != other.name:
-                raise PluginError(f"'{mount.name}' and '{other.name}' both use port {mount.port}")
-        self.mounts.append(mount)
+        self.mounts.add(mount)
 
     def unmount(self, mount: Mount) -> None:
         """Remove a mount."""
@@ -363,9 +317,9 @@ class ClientApi:
         return self._parts.identities.longest(principal)
 
     def check_pace(self, session: Session) -> None:
-        """Refuse a long request before its body is read, where it would be one too many.
+        """Refuse a long request before its body is read, if the rate limit is reached.
 
-        :raises RateLimited: it would be one too many now.
+        :raises RateLimited: the limit is reached.
         """
         session.check_pace()
 
@@ -389,7 +343,7 @@ class ClientApi:
         """Return a command that the session may see.
 
         :raises UnknownPath: there is none.
-        :raises RateLimited: it is one too many now.
+        :raises RateLimited: the limit is exceeded.
         """
         session.charge()
         return self._parts.access.find(session, id_)
@@ -404,7 +358,7 @@ class ClientApi:
 
     def service(self, key: ServiceKey[T]) -> T | None:
         """Return a feature's service by its key; None if no feature provides it."""
-        return self._parts.features.service(key)
+        return self._parts.services.service(key)
 
     def follow(self, command: Command, answer: Answer) -> Callable[[], None]:
         """Call `answer` with each further reply of a command; return a function that ends this."""
@@ -439,7 +393,7 @@ class ClientApi:
     def schemas(self, session: Session) -> Generator[None, None, dict[str, dict[str, Any]]]:
         """Find in steps the schemas of all that a session may see, by id.
 
-        :raises RateLimited: it is one too many now.
+        :raises RateLimited: the limit is exceeded.
         """
         session.charge()
         return self._parts.discovery.schemas(session.rights)
@@ -462,7 +416,7 @@ class ClientApi:
         return None
 
     def hides(self, session: Session, names: Iterable[str]) -> bool:
-        """Tell whether one of the names (see `names_in`) means something hidden from a session."""
+        """Return whether one of the names (see `names_in`) refers to something hidden from a session."""
         return self._parts.visibility.mentions_hidden(session.rights, session.tenant, names)
 
     def revoke(self, serials: frozenset[Serial]) -> None:
@@ -474,7 +428,7 @@ class ClientApi:
         self._parts.counts.count(self.name, type_, code)
 
     def attempt(self, peer: Peer) -> AbstractContextManager[None]:
-        """Let a client try to prove itself in a way of the transport's own.
+        """Let a client try to authenticate in a way of the transport's own.
 
         It counts as a failed login while it lasts, and for good if it ends with `Unauthenticated`.
 
@@ -483,21 +437,17 @@ class ClientApi:
         return self._parts.identities.attempt(peer)
 
     def turned_away(self, peer: Peer, error: RcpError) -> None:
-        """Report a client that could not prove who it is in such a way, or has no role."""
+        """Report a client that failed to authenticate in such a way, or has no role."""
         self._parts.events.stranger(self.name, peer, error)
 
     def ready(self) -> tuple[bool, dict[str, str]]:
-        """Tell whether every backend is ready, and each one's state."""
-        return self._parts.status.ready()
+        """Return whether every backend is ready, and each one's state."""
+        return self._parts.ready()
 
     def absent_adapters(self) -> dict[str, str]:
         """Return the adapters that are installed and do not run, each with the reason and remedy."""
-        return self._parts.status.absent_adapters()
+        return self._parts.absent_adapters()
 
     def metrics(self, session: Session) -> Generator[None, None, bytes]:
         """Write the Prometheus exposition in steps, without the paths hidden from a session."""
         return self._parts.exposition(session.rights)
-
-
-def _place(mount: Mount) -> tuple[str, str, str, int | None]:
-    return mount.kind, mount.prefix, mount.suffix, mount.port

@@ -27,12 +27,12 @@ class TransportKind(msgspec.Struct, frozen=True):
     open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
     description: str = ""
     check: Callable[[Any, GatewayConfig], None] | None = None
-    """Raise `ConfigError` for what this table and the rest of the configuration must not say
-    together; asked by `rcpd check` too, so it opens nothing."""
+    """Raises `ConfigError` if this table contradicts the rest of the configuration; also called by
+    `rcpd check`, so it opens nothing."""
     listens: bool = False
     """Opened after all others, because it begins to accept clients."""
     needs: tuple[str, ...] = ()
-    """As of `BackendKind`."""
+    """As for `BackendKind`."""
 
 
 class AdapterKind(msgspec.Struct, frozen=True):
@@ -47,4 +47,4 @@ class AdapterKind(msgspec.Struct, frozen=True):
     open: Callable[[Any, ClientApi], AbstractAsyncContextManager[dict[str, Any]]]
     description: str = ""
     needs: tuple[str, ...] = ()
-    """As of `BackendKind`."""
+    """As for `BackendKind`."""

@@ -1,4 +1,4 @@
-"""The metrics of the gateway in the format of Prometheus: what `/metrics` says."""
+"""The metrics of the gateway in the format of Prometheus: the content of `/metrics`."""
 
 from __future__ import annotations
 
@@ -235,13 +235,13 @@ class Exposition:
 
 
 def _link_of(supervisor: BackendSupervisor, unit: StopGroup) -> RobotLink | None:
-    """Return what the link with a robot's own gateway carries, if it has one and its backend can."""
+    """Return the traffic of the link with a robot's own gateway, if its backend reports it."""
     backend = supervisor.backend
     if backend is None or unit.robot is None or not supervisor.has_gateways:
         return None
     try:
         return backend.robot_link(unit.robot)
-    except Exception as error:  # a bad one must not hide the metrics of all others
+    except Exception as error:  # one faulty backend must not hide the metrics of the others
         supervisor.fault(f"robot_link: {error!r}")
         return None
 

@@ -1,10 +1,10 @@
-"""The features of one gateway: decoded, made, run and reloaded."""
+"""The features of one gateway: decoded, created, run and reloaded."""
 
 from __future__ import annotations
 
 from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 from prometheus_client.core import Metric
@@ -27,15 +27,13 @@ from rcp_kernel.features import (
     StatusPart,
     SystemResource,
 )
-from rcp_kernel.features.frames import FrameConverter, NoFrames
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.features.resource import Releases
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
+from rcp_streams.frames import FRAMES, FrameConverter, NoFrames
 
 __all__ = ["ActiveFeature", "Features", "active", "make"]
-
-T = TypeVar("T")
 
 
 class ActiveFeature(msgspec.Struct, frozen=True):
@@ -101,7 +99,7 @@ class Features:
 
     @property
     def releases(self) -> dict[str, Releases]:
-        """What tells which requests only release something, by path."""
+        """The functions that recognise requests that only release something, by path."""
         return {one.path: one.releases for one in self.resources if one.releases is not None}
 
     def resources_of(self, name: str) -> list[SystemResource]:
@@ -125,7 +123,7 @@ class Features:
     @property
     def frames(self) -> FrameConverter:
         """The converter of frames."""
-        found = (feature.frames for _, feature in self._made)
+        found = (feature.services.get(FRAMES) for _, feature in self._made)
         return next((one for one in found if one is not None), NoFrames())
 
     @property
@@ -166,7 +164,7 @@ class Features:
         return facts
 
     def metrics(self) -> Iterable[Metric]:
-        """Go through their families for `/metrics`."""
+        """Return their metric families for `/metrics`."""
         for name, feature in self._made:
             if feature.metrics is not None:
                 try:
@@ -174,9 +172,10 @@ class Features:
                 except Exception as error:
                     self._health[name].failed("metrics", error)
 
-    def service(self, key: ServiceKey[T]) -> T | None:
-        """Return a service that one of them offers."""
-        return next((f.services[key] for _, f in self._made if key in f.services), None)
+    @property
+    def services(self) -> list[Mapping[ServiceKey[Any], Any]]:
+        """The services of each, by key."""
+        return [feature.services for _, feature in self._made]
 
     def dry_run(self, call: Call) -> dict[str, Any]:
         """Return the items for a dry run."""
@@ -217,25 +216,25 @@ class Features:
         return [*parts, StatusPart({"features": states}, degraded=failed)]
 
     def session_ended(self, session: Session) -> None:
-        """Tell them that a session has ended."""
+        """Notify them that a session has ended."""
         for name, feature in self._made:
             if feature.session_ended is not None:
                 _tell(self._health[name], feature.session_ended, session)
 
     def rights_changed(self) -> None:
-        """Tell them that sessions may have other rights."""
+        """Notify them that the rights of sessions may have changed."""
         for name, feature in self._made:
             if feature.rights_changed is not None:
                 _tell(self._health[name], feature.rights_changed)
 
     def halted(self, paths: frozenset[str], by: str, reason: str) -> None:
-        """Tell them that an e-stop has halted the robots of some paths."""
+        """Notify them that an e-stop has halted the robots of some paths."""
         for name, feature in self._made:
             if feature.halted is not None:
                 _tell(self._health[name], feature.halted, paths, by, reason)
 
     def reconfigure(self, features: Iterable[ActiveFeature]) -> None:
-        """Hand out the tables of another configuration of the same features."""
+        """Apply the tables of another configuration of the same features."""
         tables = {one.kind.name: one.table for one in features}
         for name, feature in self._made:
             if feature.reconfigure is not None and name in tables:
@@ -268,7 +267,7 @@ def _state(health: FeatureHealth) -> dict[str, Any]:
 
 
 def _tell(health: FeatureHealth, listener: Callable[..., None], *facts: Any) -> None:
-    """Call a listener of a feature; a bug of it is its own."""
+    """Call a listener of a feature; an exception counts as a fault of the feature."""
     try:
         listener(*facts)
     except Exception as error:

@@ -77,7 +77,7 @@ def configure(level: str = "info", format_: Literal["auto", "console", "json"] =
         logger_factory=_Named(sys.stderr),
         cache_logger_on_first_use=False,
     )
-    # Libraries log by the standard module: their warnings belong in the same place.
+    # Libraries use the standard module: their warnings belong in the same log.
     logging.basicConfig(handlers=[_Handoff()], level=max(threshold, logging.WARNING), force=True)
     return recent
 
@@ -98,7 +98,7 @@ def _name(logger: Any, _method: str, event: MutableMapping[str, Any]) -> Mutable
 
 
 def _trace(_logger: Any, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """Name the trace and the command in whose context something is logged."""
+    """Add the ids of the trace and the command in whose context something is logged."""
     now = caller()
     if now is not None:
         if now.command is not None:

@@ -2,9 +2,8 @@
 
 Entry-point groups are `rcp.transports`, `rcp.plugins`, `rcp.backends` and `rcp.features`; an entry
 point's name is the name used in the configuration. A plugin that cannot be imported is
-`unavailable`,
-with the command that fixes it, and does not stop the gateway. A feature does: commands that it
-would have refused must not pass because it is broken.
+`unavailable`, with the command that fixes it, and does not stop the gateway. A feature does:
+commands that it would have refused must not pass because it is broken.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import difflib
 import importlib
 import inspect
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from typing import Any
@@ -28,9 +26,17 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind
-from rcp_profiles import STANDARD, Profile
 
-__all__ = ["GROUPS", "Missing", "Plugins", "installed", "obstacle", "published_profiles"]
+__all__ = [
+    "GROUPS",
+    "Missing",
+    "Plugins",
+    "collect",
+    "import_remedy",
+    "install_remedy",
+    "installed",
+    "missing_module",
+]
 
 GROUPS = {
     "transports": "rcp.transports",
@@ -40,8 +46,6 @@ GROUPS = {
 }
 _OWN = "rcp-gateway"
 """The distribution of the built-in features."""
-_KINDS = ("rcp_backends", "rcp_transports", "rcp_adapters", "rcp_features")
-"""Hooks whose records may need libraries of an extra."""
 
 
 class Missing(msgspec.Struct, frozen=True):
@@ -74,24 +78,7 @@ def _by_name(group: str, points: Iterable[EntryPoint]) -> dict[str, EntryPoint]:
     return found
 
 
-def published_profiles() -> dict[str, Profile]:
-    """Return the profiles by name: the standard ones, and those of the installed plugins.
-
-    A plugin that cannot be imported has none to show.
-
-    :raises PluginError: two of them have one name.
-    """
-    found = dict(STANDARD)
-    points = {point.value for group in GROUPS for point in installed(group).values()}
-    for name in sorted(points):
-        with suppress(ImportError):
-            offer = getattr(importlib.import_module(name), "rcp_profiles", None)
-            if offer is not None and hasattr(offer, "rcp_impl"):
-                _collect(found, [offer()], "profile")
-    return found
-
-
-def _lacking(kind: BackendKind | TransportKind | AdapterKind | FeatureKind) -> str | None:
+def missing_module(kind: BackendKind | TransportKind | AdapterKind | FeatureKind) -> str | None:
     """Return the first required module that is not installed; None if all are."""
     return next((name for name in kind.needs if not _is_installed(name)), None)
 
@@ -99,34 +86,22 @@ def _lacking(kind: BackendKind | TransportKind | AdapterKind | FeatureKind) -> s
 def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
-    except ModuleNotFoundError:  # not even the package that it is in
+    except ModuleNotFoundError:  # its package is not installed either
         return False
 
 
-def obstacle(point: EntryPoint) -> str | None:
-    """Return why an installed plugin cannot be used, and what to do; None: it can."""
-    try:
-        module = importlib.import_module(point.value)
-    except ImportError as error:
-        return f"{error}; {_remedy_of(error, point)}"
-    offers = [getattr(module, hook, None) for hook in _KINDS]
-    kinds = [kind for offer in offers if offer is not None for kind in offer()]
-    name = next(filter(None, map(_lacking, kinds)), None)
-    return None if name is None else f"No module named '{name}'; {_remedy(point)}"
-
-
-def _remedy_of(error: BaseException, point: EntryPoint) -> str:
+def import_remedy(error: BaseException, point: EntryPoint) -> str:
     """Return what to do about a plugin whose module raises when it is imported."""
     name = (error.name or "") if isinstance(error, ImportError) else ""
     package = name.partition(".")[0]
     is_code = package == point.value.partition(".")[0] or package.startswith("rcp_")
     # A library that is not installed, or in a version that does not fit.
     if package and (not is_code or find_spec(package) is None):
-        return _remedy(point)
+        return install_remedy(point)
     return f"fix its module {point.value}, or remove '{point.name}' from the configuration"
 
 
-def _remedy(point: EntryPoint) -> str:
+def install_remedy(point: EntryPoint) -> str:
     """Return the command that installs the missing requirement of a plugin.
 
     An extra named like the plugin contains its libraries.
@@ -163,10 +138,10 @@ class Plugins:
         self._load("transports", set(config.transports))
         self._load("plugins", set(config.plugins))
         self._load_features(config)
-        _collect(self.backends, self._offers("rcp_backends"), "backend")
-        _collect(self.transports, self._offers("rcp_transports"), "transport")
-        _collect(self.adapters, self._offers("rcp_adapters"), "adapter")
-        _collect(self.features, self._offers("rcp_features"), "feature")
+        collect(self.backends, self._offers("rcp_backends"), "backend")
+        collect(self.transports, self._offers("rcp_transports"), "transport")
+        collect(self.adapters, self._offers("rcp_adapters"), "adapter")
+        collect(self.features, self._offers("rcp_features"), "feature")
         self._check_needs("backends", self.backends)
         for group, kinds in (
             ("transports", self.transports),
@@ -236,7 +211,7 @@ class Plugins:
             except (Exception, SystemExit, KeyboardInterrupt) as error:
                 # Whatever its module does, it does not stop the gateway.
                 reason = str(error) if isinstance(error, ImportError) else repr(error)
-                self.missing.append(Missing(group, name, reason, _remedy_of(error, point)))
+                self.missing.append(Missing(group, name, reason, import_remedy(error, point)))
                 continue
             register(self._manager, module, f"{group}.{name}")
 
@@ -245,13 +220,13 @@ class Plugins:
         group: str,
         kinds: Mapping[str, BackendKind | TransportKind | AdapterKind | FeatureKind],
     ) -> list[str]:
-        """Note the kinds that lack a library, and return their names."""
+        """Record the kinds that lack a library as missing, and return their names."""
         points, found = self.points[group], list[str]()
         for name, kind in kinds.items():
-            module = _lacking(kind)
+            module = missing_module(kind)
             if module is not None and (point := points.get(name)) is not None:
                 reason = f"No module named '{module}'"
-                self.missing.append(Missing(group, name, reason, _remedy(point)))
+                self.missing.append(Missing(group, name, reason, install_remedy(point)))
                 found.append(name)
         return found
 
@@ -280,7 +255,11 @@ def register(manager: pluggy.PluginManager, module: Any, name: str) -> None:
     manager.register(module, name=name)
 
 
-def _collect(into: dict[str, Any], found: Iterable[Iterable[Any]], what: str) -> None:
+def collect(into: dict[str, Any], found: Iterable[Iterable[Any]], what: str) -> None:
+    """Add the records of several plugins by name.
+
+    :raises PluginError: two of them have one name.
+    """
     for record in [record for several in found for record in several]:
         if record.name in into:
             raise PluginError(f"two plugins offer the {what} '{record.name}'")

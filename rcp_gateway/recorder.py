@@ -14,11 +14,11 @@ __all__ = ["Listener", "Recorder"]
 
 
 def _ignore(_command: Command, _step: Record) -> None:
-    """Hear nothing of commands."""
+    """Ignore a step of a command."""
 
 
 def _ignore_event(_event: Event) -> None:
-    """Hear no events."""
+    """Ignore an event."""
 
 
 class Listener:

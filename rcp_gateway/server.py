@@ -12,7 +12,6 @@ import structlog
 
 from rcp_gateway.client_api import ClientApi
 from rcp_gateway.client_kinds import AdapterKind, TransportKind
-from rcp_gateway.composition import compose
 from rcp_gateway.features import ActiveFeature, active
 from rcp_gateway.kernel import Kernel
 from rcp_gateway.log import Recent
@@ -139,7 +138,7 @@ async def running(
         if path is not None:
             store = DiskStore(path, loop)
             stack.callback(store.close)
-        kernel = compose(
+        kernel = Kernel(
             config,
             loop,
             store=store,
@@ -225,7 +224,7 @@ async def _backends(server: Server, prepared: Prepared) -> AsyncGenerator[None]:
 
 
 async def _settled(supervisors: Sequence[BackendSupervisor], within: float) -> None:
-    """Wait for backends that are quick to open, so that they are there for the first client."""
+    """Wait for backends that open quickly, so that the first client finds their resources."""
     waiters = [asyncio.ensure_future(supervisor.settled.wait()) for supervisor in supervisors]
     if waiters:
         _, late = await asyncio.wait(waiters, timeout=max(0.0, within))
@@ -256,14 +255,14 @@ async def stop_backend(server: Server, supervisor: BackendSupervisor) -> None:
             log.error("backend_does_not_close", backend=supervisor.name)
             task.cancel()
     for entry in supervisor.entries.values():
-        server.kernel.deadman.begin(entry)  # nothing is left that could stop it later
+        server.kernel.deadman.begin(entry)  # nothing could stop the actuator later
     supervisor.withdraw(*list(supervisor.entries))
     if supervisor in server.supervisors:
         server.supervisors.remove(supervisor)
 
 
 async def _rest(kernel: Kernel) -> None:
-    """Bring everything that moves to rest before anything closes, but robots with gateways."""
+    """Bring all robots without gateways of their own to rest, before anything closes."""
     kernel.shutdown.begin()
     ours = [one for one in kernel.supervisors if not one.has_gateways]
     _cancel_motion_writes(kernel, ours)

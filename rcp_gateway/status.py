@@ -1,4 +1,4 @@
-"""The health report: what `/system/status` and `/readyz` say."""
+"""The health report: the content of `/system/status` and `/readyz`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import psutil
 
 from rcp_gateway.log import Recent
-from rcp_gateway.supervisor import WIRE_STATE, BackendSupervisor
+from rcp_gateway.supervisor import BackendSupervisor
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.sights import Hidden, Sights
@@ -85,7 +85,7 @@ class StatusReport:
         return time.monotonic() - self._began
 
     def start(self) -> None:
-        """Begin to measure how late the event loop is."""
+        """Start to measure how late the event loop is."""
         self._expected = self._loop.time() + _LAG_PERIOD
         self._timer = self._loop.call_at(self._expected, self._measure)
 
@@ -99,11 +99,8 @@ class StatusReport:
             self._timer.cancel()
 
     def ready(self) -> tuple[bool, dict[str, str]]:
-        """Tell whether every backend is ready, and each one's state."""
-        states = {
-            supervisor.name: WIRE_STATE.get(supervisor.state, "down")
-            for supervisor in self._supervisors
-        }
+        """Return whether every backend is ready, and each one's state."""
+        states: dict[str, str] = {one.name: one.availability for one in self._supervisors}
         return all(state in ("ready", "degraded") for state in states.values()), states
 
     def absent_adapters(self) -> dict[str, str]:
@@ -192,7 +189,7 @@ class StatusReport:
 
     def sees(self, rights: Rights, robot: StopGroup) -> bool:
         """Return whether a principal may know of a robot."""
-        if not robot.own:  # it was never reached
+        if not robot.own:  # it has never been connected
             return self._visibility.sees_whole(rights, robot.tenant)
         return any(rights.mask(entry.path) for entry in robot.own.values())
 
@@ -206,7 +203,7 @@ class StatusReport:
         return "see the log of the gateway" if hidden else text
 
     def concerns(self, record: dict[str, Any], rights: Rights | None) -> bool:
-        """Return whether a log record is of a principal's tenants and names nothing hidden."""
+        """Return whether a log record belongs to a principal's tenants and names nothing hidden."""
         if rights is None:
             return True
         if "*" not in rights.tenants and self.tenant_of(record) not in rights.tenants:
@@ -221,7 +218,7 @@ class StatusReport:
         )
 
     def tenant_of(self, record: dict[str, Any]) -> str | None:
-        """Return the tenant that a log record is about; None: it is the gateway's own."""
+        """Return the tenant that a log record is about; None: the gateway itself."""
         facts = record["facts"]
         path = facts.get("path")
         if isinstance(path, str) and path.startswith("/tenant/"):
@@ -252,7 +249,10 @@ class StatusReport:
         }
 
     def _is_counted(self, rights: Rights | None, path: str) -> bool:
-        """Tell whether commands on a path count; the gateway's own for who sees all they may touch."""
+        """Return whether a principal's report counts commands on a path.
+
+        Those of the gateway itself are counted only for principals that see everything.
+        """
         if rights is None:
             return True
         whole = not is_system(path) or self._visibility.sees_whole(rights, None)
@@ -269,7 +269,7 @@ class StatusReport:
             }
 
     def queues(self, tenants: tuple[str, ...]) -> dict[str, Any]:
-        """Return what waits for the clients of some tenants; `*` is all of them."""
+        """Return the number of messages queued for the clients of some tenants; `*` means all of them."""
         sessions = self._sessions_of(tenants)
         boxes = {s.id[:8]: s.connection.outbox for s in sessions if s.connection is not None}
         waiting = {id_: box.depth for id_, box in boxes.items()}

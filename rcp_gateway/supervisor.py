@@ -11,26 +11,24 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from contextvars import Context, copy_context
-from typing import Any, Literal
+from typing import Any
 
 import structlog
 
-from rcp_gateway.containment import ContainedBackend, call_contained, contained
+from rcp_gateway.backend_status import BackendStatus, State
+from rcp_gateway.containment import ContainedBackend, contained
+from rcp_gateway.recovery import LossRecovery
+from rcp_gateway.thread_calls import ThreadCalls
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import BackendConfig
-from rcp_kernel.contract.fence import permitted
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
 from rcp_kernel.model import Resource, full_path
 from rcp_kernel.safety.hold import hold_resource
-from rcp_kernel.safety.loss import tell_cut_off
 from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
-from rcp_kernel.sessions.command import Command
 from rcp_kernel.spi import (
     Anchor,
     Backend,
@@ -40,36 +38,24 @@ from rcp_kernel.spi import (
     OwnLeases,
     Publication,
     RobotFacts,
-    StopPlan,
 )
-from rcp_kernel.tree.entry import BEFORE, Availability, Entry, StopGroup
+from rcp_kernel.tree.entry import Availability, Entry, StopGroup
 from rcp_kernel.tree.latches import Latch, Latches
 from rcp_kernel.tree.registry import Registry
 from rcp_requests.commands import Commands
 from rcp_requests.journal import CommandJournal
 from rcp_streams.hub import Hub
 
-__all__ = ["BackendSupervisor", "State"]
+__all__ = ["BackendSupervisor"]
 
 log = structlog.get_logger("rcp.supervisor")
-State = Literal[
-    "declared", "opening", "ready", "degraded", "down", "closing", "closed", "unavailable", "failed"
-]
 _FIRST_RETRY = 0.25  # s
 _LAST_RETRY = 10.0  # s
-_FAULTS = 1.0  # s between log records of one backend's bad values
 _OPENS = ("declared", "opening")
 _WORKING = ("ready", "degraded", "closing")
-WIRE_STATE: dict[State, Availability] = {
-    "declared": "starting",
-    "opening": "starting",
-    "ready": "ready",
-    "degraded": "degraded",
-}
-"""The states of `/system/status`; every other one is `down` there."""
 
 
-class BackendSupervisor:
+class BackendSupervisor(BackendStatus):
     """One backend of the configuration, over all its lives. It is the `Host` of its plugin."""
 
     def __init__(
@@ -86,37 +72,18 @@ class BackendSupervisor:
         shutdown: Shutdown,
         loop: asyncio.AbstractEventLoop,
     ) -> None:
-        self.config = config
+        super().__init__(config)
         self._registry = registry
         self._hub = hub
         self._commands = commands
-        self._journal = journal
         self._latches = latches
         self._stops = stops
         self._events = events
         self._shutdown = shutdown
-        self._loop = loop
-        self.name = config.name
-        self.tenant = config.tenant
-        self.robot = config.robot
-        self.state: State = "declared"
-        self.detail: str | None = None
-        self.since = now()
-        self.last_error: str | None = None
-        self.latency: float | None = None
-        """Seconds that the last call of the robot took."""
-        self.samples = 0
-        self.faults = 0
-        self.refusals = Counter[str]()
-        """How many were refused at the robots' side, by error code."""
-        self.plans: dict[str, StopPlan] = {}
-        """The mechanisms that stop its robots without the gateway, by name."""
-        self.plans_changed = 0
-        """Number of changes of these."""
+        self._recovery = LossRecovery(self, journal, stops, events)
+        self.call_soon = ThreadCalls(loop, hub.flush_scheduler, self._call_failed).add
+        """Runs a function on the event loop, from any thread."""
         self._units: dict[str, StopGroup] = {}
-        self._recoveries: dict[StopGroup, asyncio.Task[None]] = {}
-        self._cut_off: list[Command] = []
-        """Commands of an earlier gateway whose loss policy has not been reported yet."""
         self.whole = StopGroup(self, self._latches)
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
@@ -124,15 +91,12 @@ class BackendSupervisor:
         self._backend: ContainedBackend | None = None
         self.backend: Backend | None = None
         """The open backend, or None while there is none that works. Every read looks at it."""
-        self._on_loss = BaseBackend.on_loss
+        self.on_loss = BaseBackend.on_loss
+        """The policy for a robot whose command was lost with its link, as the last opening said."""
         self.has_gateways = BaseBackend.has_gateways
         """Whether each of its robots has a gateway of its own, as the last opening said."""
         self._closing = asyncio.Event()
         self._discovering = False
-        self._calls: deque[tuple[Context, Callable[..., object], tuple[Any, ...]]] = deque()
-        """What other threads have handed over, each under the context it was handed over in."""
-        self._woken = False
-        self._logged_at = 0.0
         self._note_growth()
 
     # -- Owner ---------------------------------------------------------------------------------
@@ -150,16 +114,6 @@ class BackendSupervisor:
         return unit
 
     @property
-    def on_loss(self) -> str:
-        """The policy for a robot whose command was lost with its link."""
-        return self._on_loss
-
-    @property
-    def availability(self) -> Availability:
-        """Whether it can be used, in the words of the wire."""
-        return WIRE_STATE.get(self.state, "down")
-
-    @property
     def units(self) -> list[StopGroup]:
         """The robots that can be stopped one by one, and all of the backend if more than they move."""
         alone = [unit for unit in self._units.values() if unit.own]
@@ -167,37 +121,20 @@ class BackendSupervisor:
             alone.append(self.whole)
         return alone
 
-    def unavailable(self) -> RcpError:
-        """Return the error that says why there is no backend now."""
-        why = f": {self.detail}" if self.detail else ""
-        return AdapterUnavailable(
-            f"backend '{self.name}' is not connected ({self.state}){why}",
-            origin=self.name,
-            retry_after=1.0 if self.state in ("opening", "down") else None,
-        )
-
     def state_changed(self) -> None:
         """Announce that the state of one of its robots may have changed."""
         self._registry.state_changed()
 
-    def fault(self, detail: str) -> None:
-        """Note a bad value; a stream of them is logged once a second."""
-        self.faults += 1
-        self.last_error = detail
-        if time.monotonic() - self._logged_at > _FAULTS:
-            self._logged_at = time.monotonic()
-            log.warning("backend_fault", backend=self.name, detail=detail, faults=self.faults)
-
     # -- Host ----------------------------------------------------------------------------------
 
     def declare(self, *resources: Resource) -> None:
-        """Put resources into the tree."""
+        """Add resources to the tree."""
         for resource in resources:
             entry = self._registry.declare(self, resource, tenant=self.tenant, robot=self.robot)
             self.entries[resource.name] = entry.unit.own[resource.name] = entry
             if entry.moves:
                 self._offer_hold(entry.unit)
-                self._find_lost(entry)
+                self._recovery.find_cut_off(entry)
             if self.has_gateways and self.backend is not None:
                 self._commands.take_up(entry, self.backend)
 
@@ -216,26 +153,6 @@ class BackendSupervisor:
         entry.is_hold = True
         self.entries[name] = unit.own[name] = place.insert(entry)
 
-    def _find_lost(self, entry: Entry) -> None:
-        """Note a command that an earlier gateway began and that the robot may still carry out."""
-        cut_off = [c for c in self._journal.interrupted if c.path == entry.path]
-        if cut_off:
-            for command in cut_off:
-                self._journal.interrupted.remove(command)
-            self._cut_off += cut_off
-            self._tell_cut_off()
-            entry.unit.note_lost(entry.path, BEFORE)
-            self._stop_or_recover(entry.unit)
-
-    def _tell_cut_off(self) -> None:
-        """Add the loss policy to the errors of those commands, once it is known."""
-        if self.backend is None:
-            return
-        for command in self._cut_off:
-            tell_cut_off(command, self._on_loss)
-            self._journal.keep(command)
-        self._cut_off.clear()
-
     def withdraw(self, *names: str) -> None:
         """Remove resources from the tree; their running commands end."""
         for name in names:
@@ -245,17 +162,17 @@ class BackendSupervisor:
                 gone = AdapterUnavailable(f"the backend withdrew {entry.path}")
                 self._commands.interrupt(entry.path, gone)
                 self._registry.withdraw(entry.path)
-                self._take_hold_back(entry.unit)
+                self._withdraw_hold(entry.unit)
 
-    def _take_hold_back(self, unit: StopGroup) -> None:
-        """Withdraw the verb of a robot with nothing left that moves."""
+    def _withdraw_hold(self, unit: StopGroup) -> None:
+        """Withdraw the hold service of a robot with nothing left that moves."""
         name = _hold_name(unit.robot)
         entry = self.entries.get(name)
         if entry is not None and entry.is_hold and not any(e.moves for e in unit.own.values()):
             self.withdraw(name)
 
     def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
-        """Hand a value over; an undeclared name is a fault."""
+        """Publish a value; an undeclared name is a fault."""
         entry = self.entries.get(name)
         if entry is None:
             self.fault(f"published '{name}', which it did not declare")
@@ -263,40 +180,16 @@ class BackendSupervisor:
         entry.publish(value, timestamp)
 
     def publish_batch(self, batch: Sequence[Publication]) -> None:
-        """Hand values over from any thread."""
+        """Publish values from any thread."""
         self.call_soon(self._publish_all, batch)
 
     def _publish_all(self, batch: Sequence[Publication]) -> None:
         for item in batch:
             self.publish(item.name, item.value, item.timestamp)
 
-    def call_soon(self, function: Callable[..., object], *args: Any) -> None:
-        """Run a function on the event loop, from any thread; many share one wake-up of the loop.
-
-        :raises RuntimeError: the loop is closed.
-        """
-        self._calls.append((copy_context(), function, args))
-        if not self._woken:
-            self._woken = True
-            gather = self._hub.flush_scheduler.gather
-            try:
-                self._loop.call_soon_threadsafe(gather, self._call_all)
-            except RuntimeError:
-                self._woken = False  # so that every later caller is told as well
-                raise
-
-    def _call_all(self) -> None:
-        self._woken = False  # first: what comes from now on wakes the loop again
-        for _ in range(len(self._calls)):
-            context, function, args = self._calls.popleft()
-            context.run(self._call, function, *args)
-
-    def _call(self, function: Callable[..., object], *args: Any) -> None:
-        try:
-            call_contained(function, *args)
-        except (Exception, asyncio.CancelledError, GeneratorExit) as error:  # others wait behind it
-            self.fault(f"{type(error).__name__}: {error}")
-            log.exception("backend_call_failed", backend=self.name)
+    def _call_failed(self, error: BaseException) -> None:
+        self.fault(f"{type(error).__name__}: {error}")
+        log.error("backend_call_failed", backend=self.name, exc_info=error)
 
     def report(self, detail: str | None, *, down: bool = False, robot: str | None = None) -> None:
         """Change the state of an open backend, or of one of its robots."""
@@ -336,12 +229,12 @@ class BackendSupervisor:
             self._enter("degraded", detail)
         if unit.state == "down":
             self._report_robot(unit, detail, down=False)
-        self._stop_or_recover(unit)
+        self._recovery.settle(unit)
 
     def own_estop(
         self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
     ) -> None:
-        """Show the e-stop of a robot's own gateway; one that was reset there holds nothing here."""
+        """Show the e-stop of a robot's own gateway; a reset there applies here too."""
         unit = self.unit(robot)
         if state is None and reset and self.is_latched(robot):
             if not self._stops.has_partners(unit):  # they were not reset
@@ -354,41 +247,34 @@ class BackendSupervisor:
             self._latches.show(unit.name, state)
 
     def own_leases(self, robot: str, leases: OwnLeases | None) -> None:
-        """Note who holds leases on a robot, by its own gateway."""
+        """Record who holds leases on a robot, as its own gateway reports."""
         unit = self.unit(robot)
         unit.own_leases = leases
         self._registry.leases_told(unit)
 
     def refused(self, error: RcpError, *, count: int = 1) -> None:
-        """Report that somebody was refused at the robots' side."""
+        """Report that a peer was refused at the robots' side."""
         self.refusals[error.code] += count
         log.warning("backend_refused", backend=self.name, reason=error.message, count=count)
         self._events.refused(self.name, self.tenant, error, count)
 
     def is_latched(self, robot: str | None = None) -> bool:
-        """Tell whether an e-stop holds a robot."""
+        """Return whether an e-stop holds a robot."""
         return self.unit(robot).latch is not None
 
-    def guard(self, name: str, plan: StopPlan | None) -> None:
-        """Store a plan for the guard process."""
-        self.plans.pop(name, None)
-        if plan is not None:
-            self.plans[name] = plan
-        self.plans_changed += 1
-
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
-        """Note what a robot is."""
+        """Record what a robot is."""
         unit = self.unit(robot)
         if unit.facts != facts:
             unit.facts = facts
             self._registry.state_changed()
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
-        """Note where one of a robot's frames is."""
+        """Record where one of a robot's frames is."""
         self.unit(robot).anchor = anchor
 
     def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
-        """Note where to look transforms up."""
+        """Record where to look up transforms."""
         self.unit(robot).frames = tree
 
     def discovering(self, *, active: bool) -> None:
@@ -399,7 +285,7 @@ class BackendSupervisor:
     # -- life ----------------------------------------------------------------------------------
 
     def fail(self, state: State, detail: str) -> None:
-        """Settle a backend that cannot even be tried."""
+        """Set the final state of a backend that cannot be opened at all."""
         self._enter(state, detail)
         self.settled.set()
 
@@ -409,7 +295,7 @@ class BackendSupervisor:
         while not self._closing.is_set():
             started = time.monotonic()
             self._discovering = False
-            for unit in self._units.values():  # what an earlier life said of them is over
+            for unit in self._units.values():  # reports of an earlier life no longer apply
                 unit.state, unit.detail = "ready", None
             if self.state != "down":
                 self._enter("opening", None)
@@ -442,8 +328,7 @@ class BackendSupervisor:
                 try:
                     await self._closing.wait()
                 finally:
-                    for recovery in self._recoveries.values():
-                        recovery.cancel()
+                    self._recovery.cancel()
                     left = self._commands.detach(self.name)
                     if not self._closing.is_set():
                         self._enter("down", self.detail or "the backend stopped")
@@ -455,54 +340,15 @@ class BackendSupervisor:
     def _use_backend(self, backend: ContainedBackend) -> None:
         """Use an open backend: first the stops, then what its robots still carry out."""
         self._set_backend(backend)
-        self._on_loss, self.has_gateways = backend.on_loss, backend.has_gateways
+        self.on_loss, self.has_gateways = backend.on_loss, backend.has_gateways
         self._enter("ready", None)
-        self._tell_cut_off()
+        self._recovery.report_cut_off()
         for unit in self.units:
-            self._stop_or_recover(unit)
+            self._recovery.settle(unit)
         if backend.has_gateways:
             for entry in list(self.entries.values()):
                 self._commands.take_up(entry, backend)
         self.settled.set()
-
-    def _stop_or_recover(self, unit: StopGroup) -> None:
-        """Stop a latched robot that is available again; otherwise settle its lost commands."""
-        if self.backend is None:
-            return
-        if unit.latch is not None:
-            if unit.latch.shown is None:  # otherwise its own gateway holds it, or has let it go
-                self._stops.resume(unit)
-        elif unit.lost is not None and unit not in self._recoveries:
-            task = asyncio.create_task(self._recover(unit), name=f"recover {unit.name}")
-            self._recoveries[unit] = task
-            task.add_done_callback(lambda _: self._recoveries.pop(unit, None))
-
-    async def _recover(self, unit: StopGroup) -> None:
-        """Do with a robot what its policy says of a lost command, unless it has a new one."""
-        wait = _FIRST_RETRY
-        while (lost := unit.lost) is not None and (backend := self.backend) is not None:
-            if unit.latch is not None:  # the stop settles it
-                return
-            try:
-                with permitted(unit, unit.stops):
-                    done = await backend.recover(unit.robot)
-            except Exception as error:
-                unexpected = None if isinstance(error, RcpError) else error
-                text = str(error)
-                log.warning(
-                    "not_recovered",
-                    backend=unit.name,
-                    command=lost.path,
-                    error=text,
-                    exc_info=unexpected,
-                )
-                await asyncio.sleep(wait)
-                wait = min(wait * 2, _LAST_RETRY)
-            else:
-                if unit.lost is lost:  # otherwise another was lost meanwhile
-                    unit.lost = None
-                log.warning("recovered", backend=unit.name, command=lost.path, done=done)
-                self._events.recovered(unit, lost.path, done)
 
     def _down(self, error: Exception) -> None:
         self._set_backend(None)
@@ -520,7 +366,7 @@ class BackendSupervisor:
         self._interrupt(self.entries.values(), f"backend '{self.name}'", why)
 
     def _interrupt(self, entries: Iterable[Entry], whose: str, why: str) -> None:
-        if self.has_gateways:  # their commands go on, and wait for their robots
+        if self.has_gateways:  # their commands continue, and wait for their robots
             return
         for entry in entries:
             error = AdapterUnavailable(f"the link to {whose} was lost: {why}", origin=self.name)
@@ -534,7 +380,7 @@ class BackendSupervisor:
         self._registry.set_incomplete(self, incomplete=incomplete)
 
     def _set_backend(self, backend: ContainedBackend | None) -> None:
-        """Set the open backend, or None; requests reach it only while the state says that it works."""
+        """Set the open backend, or None; requests reach it only in a working state."""
         self._backend = backend
         usable = backend if self.state in _WORKING else None
         if usable is not self.backend:
@@ -564,7 +410,7 @@ class BackendSupervisor:
         return self._closing.is_set()
 
     def retire(self) -> None:
-        """Let nothing move any more: the configuration has this backend no longer."""
+        """Refuse all motion from now on: the configuration no longer has this backend."""
         self.whole.retired = Latch("the gateway", "the backend is being closed")
         self._interrupt_all("it was removed from the configuration")
 
@@ -596,7 +442,7 @@ class BackendSupervisor:
 
     @property
     def unready(self) -> list[StopGroup]:
-        """The robots of which the backend says that they are degraded or down."""
+        """The robots that the backend reports as degraded or down."""
         return [unit for unit in self._units.values() if unit.state != "ready"]
 
     @property

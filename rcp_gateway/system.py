@@ -21,7 +21,7 @@ from rcp_kernel.safety.estop import LONGEST_WAIT, Estop, EstopRequest, EstopStat
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.spi import Backend, BaseBackend, Progress
+from rcp_kernel.spi import Backend, BaseBackend
 from rcp_kernel.tree.entry import Availability, Entry, StopGroup
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
@@ -49,7 +49,7 @@ class LogRecord(msgspec.Struct, frozen=True):
     logger: str
     message: str
     tenant: str | None = None
-    """Whose it is; None is the gateway's own, for those who act in every tenant."""
+    """Its tenant; None for the gateway itself, shown to principals that act in every tenant."""
     facts: dict[str, Any] = {}
 
 
@@ -110,8 +110,7 @@ class System(BaseBackend):
         }
         """Resources whose value depends on the reader, by path."""
         self.filters: dict[str, Filter] = {_LOG: self._shown}
-        """Filters of resources of whose samples each reader sees only its own, by path; a filter
-        returns
+        """Filters of resources of whose samples each reader sees only a part, by path; a filter returns
         None for a hidden sample."""
         self.by_rights: set[str] = {_TREE}
         """Resources whose view is the same for readers with equal rights, by path."""
@@ -132,7 +131,7 @@ class System(BaseBackend):
         recent.on_record.append(self._logged)
 
     def close(self) -> None:
-        """Publish no log records or changes of the tree any more."""
+        """Stop publishing log records and changes of the tree."""
         self._recent.on_record.remove(self._logged)
         if self._tree_due is not None:
             self._tree_due.cancel()
@@ -190,7 +189,7 @@ class System(BaseBackend):
         return self
 
     def unit(self, robot: str | None) -> StopGroup:
-        """Return what no e-stop holds."""
+        """Return the stop group of the gateway, which no e-stop holds."""
         return self._unit
 
     @property
@@ -213,10 +212,10 @@ class System(BaseBackend):
         return UnknownPath("the gateway is closing")
 
     def state_changed(self) -> None:
-        """Nothing of the gateway's own is held."""
+        """Do nothing: no e-stop or hold applies to the gateway itself."""
 
     def fault(self, detail: str) -> None:
-        """A value of the gateway's own that does not fit is a bug, and raises where it is made."""
+        """Do nothing: an invalid value of the gateway's own is a bug, and raises where it is created."""
 
     def _logged(self, record: dict[str, Any]) -> None:
         # Warnings may come from any thread.
@@ -277,10 +276,6 @@ class System(BaseBackend):
 
     def _list_commands(self, session: Session) -> Iterator[Body | None]:
         return (command and command.listed for command in self._access.judged(session))
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Never called: these resources are executed before."""
-        raise UnknownPath(f"{name} cannot be executed")
 
 
 def _resources() -> list[Resource]:

@@ -1,41 +1,4 @@
 """`rcp_protocol.model`, under the name that plugins import."""
 
-from __future__ import annotations
-
-from rcp_protocol.model import (
-    BRANCHES,
-    MAX_DEEP,
-    MAX_PATH,
-    MOVING,
-    READS,
-    Kind,
-    NativeType,
-    Operation,
-    Pattern,
-    Policy,
-    Resource,
-    full_path,
-    kind_of,
-    operation_names,
-    parse_path,
-    tenant_of,
-)
-
-__all__ = [
-    "BRANCHES",
-    "MAX_DEEP",
-    "MAX_PATH",
-    "MOVING",
-    "READS",
-    "Kind",
-    "NativeType",
-    "Operation",
-    "Pattern",
-    "Policy",
-    "Resource",
-    "full_path",
-    "kind_of",
-    "operation_names",
-    "parse_path",
-    "tenant_of",
-]
+from rcp_protocol.model import *  # noqa: F403 - all of it
+from rcp_protocol.model import __all__  # noqa: F401 - for `from … import *`

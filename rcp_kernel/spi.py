@@ -1,27 +1,41 @@
 """The interfaces that plugins implement, and those that they receive.
 
-A robot-facing plugin registers `BackendKind` records and implements `Backend` (through
-`BaseBackend`);
-a client-facing one registers `TransportKind` or `AdapterKind` records and uses the gateway only
-through `ClientApi` and `Session`. Hooks declare, context managers run, method calls do the work.
+A robot-facing plugin registers `BackendKind` records and derives from `BaseBackend`; a client-facing
+one registers `TransportKind` or `AdapterKind` records and uses the gateway only through `ClientApi`
+and `Session`. Hooks declare, context managers run, method calls do the work.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
-from typing import Annotated, Any, Literal, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 import msgspec
-from msgspec import Meta
 
 from rcp_kernel.contract.caller import Caller, caller
 from rcp_kernel.contract.fence import check_fence, fenced_off, is_commanded, unfenced
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.robots import (
+    Anchor,
+    Dimensions,
+    Encoded,
+    FrameTree,
+    FrameWatch,
+    MotionState,
+    Native,
+    OwnLeases,
+    Progress,
+    Publication,
+    RobotFacts,
+    RobotLease,
+    RobotLeaseRequest,
+    RobotLink,
+    StopPlan,
+    Watchdog,
+)
 from rcp_kernel.errors import RcpError, UnsupportedOperation
 from rcp_kernel.model import Resource
-from rcp_kernel.types import Transform
-from rcp_kernel.values import Encoding
 
 __all__ = [
     "Anchor",
@@ -52,224 +66,6 @@ __all__ = [
     "is_commanded",
     "unfenced",
 ]
-
-
-@runtime_checkable
-class Native(Protocol):
-    """A value in the backend's own serialized form, decoded only on demand.
-
-    The backend guarantees its validity: the result of `decode` is not validated again.
-    """
-
-    data: bytes
-    """The serialised bytes, as a subscription with `encoding: native` receives them."""
-
-    def decode(self) -> Any:
-        """Return the value; called at most once, on the event loop."""
-        ...
-
-
-@runtime_checkable
-class Encoded(Native, Protocol):
-    """A value that another gateway has numbered and encoded: it is passed on as it is.
-
-    From its first one on, a resource has the numbers of its source; one that is not newer is not
-    published again, and what the kernel learns otherwise (a written value) has no number.
-    """
-
-    encoding: Encoding
-    """The encoding of `data`."""
-    seq: int
-    """Number of the sample at its source."""
-    timestamp: int
-    """Source time, ns since the UNIX epoch."""
-
-
-class Publication(msgspec.Struct, frozen=True, gc=False):
-    """One value for `Host.publish_batch`, or read from a robot, with its time."""
-
-    name: str
-    value: Any
-    timestamp: int | None = None
-    """Source time, ns since the UNIX epoch; None takes the time of receipt."""
-
-
-class MotionState(msgspec.Struct, frozen=True):
-    """Whether a robot is at rest, as its own measurements say."""
-
-    at_rest: bool | None
-    """False: it moves, or is not yet where the stop is to bring it (on the ground, for `land`);
-    None: unknown, because it cannot be reached or its feedback is too old."""
-    detail: str = ""
-    """Why it is not at rest, or what is unknown: `moves at 0.8 m/s`, `no feedback for 1.2 s`."""
-    energised: bool | None = None
-    """Whether it is armed or its motors hold torque; None: unknown."""
-
-
-class RobotLink(msgspec.Struct, frozen=True, kw_only=True):
-    """What the link with the gateway of a robot has carried since this backend was opened."""
-
-    latency: float | None
-    """Seconds of the last round trip; None: unknown, or the link is down."""
-    sent: int
-    """Bytes to the robot."""
-    received: int
-    lost: int
-    """Links that ended because messages were lost on the way."""
-
-
-class RobotLease(msgspec.Struct, frozen=True, kw_only=True):
-    """A lease that a robot's own gateway has granted. Times are by its clock, ns since the epoch."""
-
-    id: str
-    scope: str
-    """In the paths of this gateway, and never more than the robot."""
-    holder: str
-    """The principal's name."""
-    priority: int
-    since: int
-    expires: int
-    reason: str | None
-    told: int
-    """When the robot's gateway said so."""
-
-
-class OwnLeases(msgspec.Struct, frozen=True):
-    """All leases on a robot, as its own gateway lists them."""
-
-    leases: tuple[RobotLease, ...]
-    told: int
-    """When the robot's gateway said so, ns by its clock."""
-
-
-class RobotLeaseRequest(msgspec.Struct, frozen=True, kw_only=True):
-    """A request for a lease on a robot, or a part of it, to its own gateway."""
-
-    do: Literal["acquire", "renew", "release", "hand_over"]
-    scope: str
-    """In the paths of this gateway."""
-    lease: str | None = None
-    """The id that the robot's gateway has given it; None: the one on exactly this scope."""
-    ttl: float | None = None
-    """In seconds."""
-    take: bool = False
-    reason: str | None = None
-    heir: Principal | None = None
-    """To whom it is handed over."""
-    program: str | None = None
-    """Which of the principal's programs asks, as a digest."""
-    former: str | None = None
-    """The same of the gateway where that program was before, if there is any."""
-
-
-class Watchdog(msgspec.Struct, frozen=True):
-    """A mechanism that stops a robot when it no longer receives messages from the gateway."""
-
-    mechanism: str
-    """In the field's words: `ArduPilot GCS failsafe (FS_GCS_ENABLE=1, FS_GCS_TIMEOUT=5)`."""
-    within: float | None
-    """Seconds from the gateway's last sign of life until it acts; None: there is no watchdog."""
-    verified: bool = False
-    """Whether the setting was read back from the device."""
-    robot: str | None = None
-    """Which robot or part of one; None: all of the backend."""
-
-
-class StopPlan(msgspec.Struct, frozen=True):
-    """What the guard process sends to stop a robot when the gateway's event loop is blocked.
-
-    Plain data for a sender of `rcp_guard`, which imports nothing of the gateway.
-    """
-
-    sender: str
-    """The name of a sender: `can`, `ros2`, `udp`."""
-    data: dict[str, Any]
-    """As the sender's module documents it."""
-    period: float = 0.05
-    """Seconds between two transmissions."""
-    lasts: float | None = None
-    """Seconds for which it is sent, so as not to overrule a failsafe of the robot itself that acts
-    later; None: until the guard's bound."""
-
-
-class Dimensions(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The size of a robot at rest, in m along its own axes, and its mass in kg."""
-
-    length: float | None = None
-    width: float | None = None
-    height: float | None = None
-    mass: float | None = None
-
-
-class RobotFacts(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot is, as far as its backend knows; shown by the inventory."""
-
-    kind: str | None = None
-    """One word of the field: `rover`, `copter`, `plane`, `boat`, `arm`, `forklift`, `motor`."""
-    vendor: str | None = None
-    model: str | None = None
-    firmware: str | None = None
-    """Name and version, as the robot itself reports them."""
-    serial: str | None = None
-    dimensions: Dimensions | None = None
-    frames: tuple[str, ...] = ()
-    """The frames in which it takes goals and reports poses."""
-
-
-class Anchor(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a frame of a robot is fixed to the earth: its origin, and how it is turned there.
-
-    With `yaw` 0 its x axis points east; z points up.
-    """
-
-    latitude: Annotated[float, Meta(ge=-90, le=90, extra_json_schema={"unit": "deg"})]
-    """On the WGS 84 ellipsoid, deg."""
-    longitude: Annotated[float, Meta(ge=-180, le=180, extra_json_schema={"unit": "deg"})]
-    altitude: Annotated[float, Meta(extra_json_schema={"unit": "m"})] = 0.0
-    """Above mean sea level, m."""
-    yaw: Annotated[float, Meta(extra_json_schema={"unit": "rad"})] = 0.0
-    """From east to the frame's x axis, counter-clockwise, rad."""
-    frame: Annotated[str, Meta(min_length=1, max_length=64)] = "map"
-
-
-class FrameTree(Protocol):
-    """The transforms between a robot's frames, where its backend receives them itself (TF)."""
-
-    def frames(self) -> Collection[str]:
-        """Return the names of all frames."""
-        ...
-
-    def lookup(self, target: str, source: str, time: int | None) -> tuple[Transform, float]:
-        """Return the pose of `source` in `target` at a source time, ns, or the nearest one known.
-
-        None: now, by the robot's clock. The seconds between that time and the pose's are returned
-        too; 0: it is exact, or never changes. Called on the event loop for single samples: no I/O.
-
-        :raises LookupError: nothing connects the two.
-        """
-        ...
-
-
-class FrameWatch(msgspec.Struct, frozen=True):
-    """The values of a resource in a frame, as somebody wants them from the robot's own gateway."""
-
-    frame: str
-    rate: float | None
-    """Hz; None: every sample."""
-    principal: Principal
-    """Who wants them, and whose rights there count."""
-    publish: Callable[[Any], None]
-    """Takes each value: `Encoded`."""
-    missing: Callable[[str], None]
-    """Told why there are none for now, in one sentence."""
-
-
-class Progress(Protocol):
-    """Report feedback of a running command; newest wins for a slow client, none are reordered."""
-
-    def __call__(self, feedback: Any = None, *, fraction: float | None = None) -> None:
-        """Send `feedback` (of the resource's feedback type) and the part done, 0…1."""
-        ...
 
 
 class Host(Protocol):
@@ -322,13 +118,13 @@ class Host(Protocol):
         ...
 
     def is_latched(self, robot: str | None = None) -> bool:
-        """Tell whether an e-stop holds one of the backend's robots, or the backend as a whole."""
+        """Return whether an e-stop holds one of the backend's robots, or the backend as a whole."""
         ...
 
     def own_estop(
         self, robot: str, state: Mapping[str, Any] | None, *, reset: bool = False
     ) -> None:
-        """Report what a robot's own gateway says of its latched e-stop, as in `/system/estop`.
+        """Report the latched e-stop of a robot's own gateway, as in `/system/estop`.
 
         None: it is not latched. With `reset`, because somebody has reset it there: then this
         gateway does not hold the robot any longer either. See `Backend.has_gateways`.
@@ -343,28 +139,28 @@ class Host(Protocol):
         ...
 
     def refused(self, error: RcpError, *, count: int = 1) -> None:
-        """Report that somebody was refused who did not come by a transport, for the audit log.
+        """Report, for the audit log, that a peer of the backend was refused `count` times.
 
-        `count` says how often. A backend whose robots dial in calls this.
+        For backends whose robots connect to them.
         """
         ...
 
     def guard(self, name: str, plan: StopPlan | None) -> None:
-        """Give the guard process what stops a part of the robot without the gateway.
+        """Give the guard process a plan that stops a part of the robot without the gateway.
 
-        A plan of the same name is replaced; None takes it back.
+        It replaces a plan of the same name; None removes that.
         """
         ...
 
     def describe(self, facts: RobotFacts, robot: str | None = None) -> None:
-        """Say what one of the backend's robots is (None: the backend as a whole).
+        """Describe one of the backend's robots (None: the backend as a whole).
 
-        Called again when more is known, such as the firmware; it replaces what was said before.
+        Called again when more is known, such as the firmware; it replaces the earlier description.
         """
         ...
 
     def anchor(self, anchor: Anchor | None, robot: str | None = None) -> None:
-        """Say where one of a robot's frames is fixed to the earth; None: no longer known.
+        """Report where one of a robot's frames is fixed to the earth; None: no longer known.
 
         Called again when it changes. The gateway then converts between that frame and `earth`.
         """
@@ -373,7 +169,7 @@ class Host(Protocol):
     def transforms(self, tree: FrameTree, robot: str | None = None) -> None:
         """Give the transforms between a robot's frames.
 
-        Not needed for what `sensor/pose` and `sensor/odometry` tell.
+        Not needed for those that `sensor/pose` and `sensor/odometry` already give.
         """
         ...
 
@@ -386,57 +182,72 @@ class Host(Protocol):
         ...
 
 
-@runtime_checkable
-class Backend(Protocol):
+class Backend:
     """A robot, as the kernel sees it. Every name is one the backend declared itself.
+
+    A plugin derives from it, under its name `BaseBackend`, and overrides what its robot has: the
+    methods here refuse, or do what is right for a robot that lacks the function.
 
     All coroutines run on the event loop and may be cancelled at any await: deadlines and clients'
     cancels arrive as cancellation. Arguments already match the declared types. Exceptions should be
     `RcpError`s; any other becomes `internal`.
     """
 
+    on_loss: str = "hold"
+    """Policy for a robot whose command was lost with its link: `hold`, `continue`, `land`,
+    `return`. Included in the command's error; `recover` applies it."""
+
+    has_gateways: bool = False
+    """Whether each of its robots has a gateway of its own, as in a fleet.
+
+    Then commands and stops are the robots' own: closing this gateway neither halts them nor cancels
+    their commands. A robot that is down does not end its commands here: `execute` waits for it, up to
+    their deadline. A command that an earlier run of the gateway began, or an earlier opening of the
+    backend, is passed to `execute` again with the same `caller().key`, under which the robot's
+    gateway answers with what it knows of it. No dead-man is armed here: pass `caller().valid_for` on."""
+
     async def read(self, name: str) -> Any:
         """Return the current value, or a `Publication` of it with its source time.
 
-        Called only if no fresh sample is available.
+        Called only if no fresh sample is available. By default, only published values exist.
 
         :raises AdapterUnavailable: the link is down.
         :raises DeviceTimeout: the robot did not respond.
         :raises UnsupportedOperation: the value cannot be requested, only subscribed to; the kernel
             then waits for the first sample.
         """
-        ...
-
-    def frames_of(self, name: str) -> Sequence[str]:
-        """Return the frames of a resource, as the robot's own gateway listed them: no I/O.
-
-        Asked only of a backend that `has_gateways`.
-        """
-        ...
-
-    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
-        """Have the robot's own gateway send a resource's values in a frame; return the end function.
-
-        Asked only of a backend that `has_gateways`. It goes on over cuts, and waits for a robot that is
-        not there yet, until it is ended; `missing` is told why nothing comes.
-        """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be read")
 
     async def read_in_frame(self, name: str, frame: str) -> Any:
         """Return the current value in a frame, as the robot's own gateway converts it: `Encoded`.
 
-        Asked only of a backend that `has_gateways`.
+        Called only on a backend that `has_gateways`.
 
-        :raises FilterUnsupported, InvalidValue, PreconditionFailed: that gateway says so.
+        :raises FilterUnsupported, InvalidValue, PreconditionFailed: that gateway refuses it.
         """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be read in a frame")
+
+    def frames_of(self, name: str) -> Sequence[str]:
+        """Return the frames of a resource, as the robot's own gateway listed them: no I/O.
+
+        Called only on a backend that `has_gateways`.
+        """
+        return ()
+
+    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
+        """Have the robot's own gateway send a resource's values in a frame; return the end function.
+
+        Called only on a backend that `has_gateways`. It goes on over interruptions, and waits for a
+        robot that is not there yet, until it is ended; `missing` gets the reason why nothing comes.
+        """
+        raise UnsupportedOperation(f"'{name}' cannot be subscribed to in a frame")
 
     async def write(self, name: str, value: Any) -> Any:
         """Bring a value into force; return the value now in force, or None if it is `value`.
 
         :raises DeviceRejected: the robot refused, with its reason.
         """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be written")
 
     async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Bring several values into force at the same moment, or none of them.
@@ -449,7 +260,7 @@ class Backend(Protocol):
 
         :raises DeviceRejected: the robot refused, and none of them is in force.
         """
-        ...
+        raise UnsupportedOperation("the backend cannot write several values as one")
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Run an action or service to its end and return its result.
@@ -459,7 +270,7 @@ class Backend(Protocol):
 
         :raises DeviceRejected: the robot refused or aborted.
         """
-        ...
+        raise UnsupportedOperation(f"'{name}' cannot be executed")
 
     def foresee(self, name: str, value: Any) -> None:
         """Refuse a dry run of what `execute` would refuse now, as far as the backend knows.
@@ -468,29 +279,15 @@ class Backend(Protocol):
 
         :raises RcpError: as `execute` would.
         """
-        ...
 
     def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
         """Keep `name` published while entered; `rate` is the highest requested rate, in Hz.
 
         Entered at the first subscriber and left after the last. When the requested rate changes,
         the new context is entered before the old one is left. None: as fast as the source provides.
+        By default, everything is published without subscribers.
         """
-        ...
-
-    on_loss: str
-    """Policy for a robot whose command was lost with its link: `hold`, `continue`, `land`,
-    `return`.
-    Included in the command's error; `recover` applies it."""
-
-    has_gateways: bool
-    """Whether each of its robots has a gateway of its own, as in a fleet.
-
-    Then commands and stops are the robots' own: closing this gateway neither halts them nor cancels
-    their commands. A robot that is down does not end its commands here: `execute` waits for it, up to
-    their deadline. A command that an earlier run of the gateway began, or an earlier opening of the
-    backend, is passed to `execute` again with the same `caller().key`, under which the robot's
-    gateway answers with what it knows of it. No dead-man is armed here: pass `caller().valid_for` on."""
+        return nullcontext()
 
     async def halt(self) -> None:
         """Bring everything that moves to rest at once, by the strongest effective means.
@@ -498,158 +295,81 @@ class Backend(Protocol):
         Return when it is *measured* to be at rest; a robot that cannot be reached is an error,
         never a success. Called by the e-stop until the robot is confirmed at rest, and before the
         backend closes until one call returns; also while an earlier call is still waiting, whose
-        commands may have been lost.
+        commands may have been lost. By default, nothing moves.
 
         :raises AdapterUnavailable: a robot cannot be reached.
         :raises DeviceTimeout: it was commanded to stop and does not come to rest.
         """
-        ...
 
     async def halt_robot(self, robot: str) -> None:
-        """Bring one of several robots to rest, as `halt` does all: see `Resource.robot`."""
-        ...
+        """Bring one of several robots to rest, as `halt` does all (the default): see `Resource.robot`."""
+        await self.halt()
 
     def motion(self, robot: str | None) -> MotionState | None:
         """Report whether a robot (None: all of the backend) is at rest, by measurement.
 
-        Asked often while an e-stop is latched: no I/O. None: this backend measures nothing, and a
+        Called often while an e-stop is latched: no I/O. None: this backend measures nothing, and a
         `halt` that returned is all that can be known.
         """
-        ...
+        return None
 
     def hold_stop(self, robot: str | None) -> None:
         """Send again, without waiting, what keeps a robot (None: all) stopped.
 
         Called ten times a second while an e-stop is latched, also before the first confirmation
-        and at once when the link returns.
+        and at once when the link returns. By default, a robot at rest stays there.
         """
-        ...
 
     async def hold(self, robot: str | None) -> None:
         """Bring a robot (None: all) to rest without an e-stop: brake, hover, keep the position.
 
-        The verb `service/hold` that every robot has; return when it is measured to be at rest.
+        The verb `service/hold` that every robot has; return when it is measured to be at rest. By
+        default, it stops as for the e-stop.
         """
-        ...
+        await (self.halt() if robot is None else self.halt_robot(robot))
 
     async def recover(self, robot: str | None) -> str:
         """Apply `on_loss` after the link has returned; return what was done.
 
         Called once for a robot whose command ended with its link, or with an earlier gateway.
         """
-        ...
-
-    async def reset_estop(self, robot: str | None) -> None:
-        """Ask a robot's own gateway (None: all) to reset its e-stop; see `has_gateways`.
-
-        Called after an e-stop was reset here, for who `caller()` tells. A robot whose gateway refuses,
-        or cannot be reached, is latched here again.
-
-        :raises RcpError: it refuses.
-        """
-        ...
-
-    async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
-        """Ask a robot's own gateway for a lease, for who `caller()` tells; see `has_gateways`.
-
-        Return the lease as it is after the request.
-
-        :raises LeaseHeld, LeaseLost, LeaseRequired: its gateway says so.
-        :raises RcpError: it refuses, or cannot be reached.
-        """
-        ...
-
-    def watchdogs(self) -> Sequence[Watchdog]:
-        """List what stops the robots when the gateway falls silent, as verified on the device."""
-        ...
-
-    def robot_link(self, robot: str) -> RobotLink | None:
-        """Report what the link with a robot's own gateway carries, if it was ever there.
-
-        Asked only of a backend that `has_gateways`, for each robot at each scrape of `/metrics`: no
-        I/O.
-        """
-        ...
-
-
-class BaseBackend:
-    """A backend that refuses everything: a subclass writes only what its robot has."""
-
-    on_loss: str = "hold"
-    has_gateways: bool = False
-
-    async def read(self, name: str) -> Any:
-        """Refuse: only published values are available."""
-        raise UnsupportedOperation(f"'{name}' cannot be read")
-
-    async def read_in_frame(self, name: str, frame: str) -> Any:
-        """Refuse: no robot has a gateway of its own."""
-        raise UnsupportedOperation(f"'{name}' cannot be read in a frame")
-
-    def frames_of(self, name: str) -> Sequence[str]:
-        """List none: no robot has a gateway of its own."""
-        return ()
-
-    def watch_in_frame(self, name: str, watch: FrameWatch) -> Callable[[], None]:
-        """Refuse: no robot has a gateway of its own."""
-        raise UnsupportedOperation(f"'{name}' cannot be subscribed to in a frame")
-
-    async def write(self, name: str, value: Any) -> Any:
-        """Refuse."""
-        raise UnsupportedOperation(f"'{name}' cannot be written")
-
-    async def write_together(self, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Refuse: nothing is declared as a group."""
-        raise UnsupportedOperation("the backend cannot write several values as one")
-
-    async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        """Refuse."""
-        raise UnsupportedOperation(f"'{name}' cannot be executed")
-
-    def foresee(self, name: str, value: Any) -> None:
-        """Accept: only the robot knows."""
-
-    def watch(self, name: str, rate: float | None) -> AbstractAsyncContextManager[object]:
-        """Do nothing: everything is published without subscribers."""
-        return nullcontext()
-
-    async def halt(self) -> None:
-        """Do nothing: a robot without moving parts is at rest."""
-
-    async def halt_robot(self, robot: str) -> None:
-        """Halt all: nothing says how one is halted alone."""
-        await self.halt()
-
-    def motion(self, robot: str | None) -> MotionState | None:
-        """Measure nothing."""
-        return None
-
-    def hold_stop(self, robot: str | None) -> None:
-        """Do nothing: a robot at rest stays there."""
-
-    async def hold(self, robot: str | None) -> None:
-        """Stop as for the e-stop."""
-        await (self.halt() if robot is None else self.halt_robot(robot))
-
-    async def recover(self, robot: str | None) -> str:
-        """Hold."""
         await self.hold(robot)
         return "held"
 
     async def reset_estop(self, robot: str | None) -> None:
-        """Do nothing: no robot has a latch of its own."""
+        """Ask a robot's own gateway (None: all) to reset its e-stop; see `has_gateways`.
+
+        Called after an e-stop was reset here, by the principal of `caller()`. A robot whose gateway
+        refuses, or cannot be reached, is latched here again.
+
+        :raises RcpError: it refuses.
+        """
 
     async def lease(self, robot: str, request: RobotLeaseRequest) -> RobotLease:
-        """Refuse: no robot has leases of its own."""
+        """Ask a robot's own gateway for a lease, for the principal of `caller()`; see `has_gateways`.
+
+        Return the lease as it is after the request.
+
+        :raises LeaseHeld, LeaseLost, LeaseRequired: its gateway reports this.
+        :raises RcpError: it refuses, or cannot be reached.
+        """
         raise UnsupportedOperation(f"'{robot}' has no gateway of its own")
 
     def watchdogs(self) -> Sequence[Watchdog]:
-        """List none."""
+        """List what stops the robots when the gateway falls silent, as verified on the device."""
         return ()
 
     def robot_link(self, robot: str) -> RobotLink | None:
-        """Report none."""
+        """Report what the link with a robot's own gateway carries, if there ever was one.
+
+        Called only on a backend that `has_gateways`, for each robot at each scrape of `/metrics`: no
+        I/O.
+        """
         return None
+
+
+BaseBackend = Backend
+"""The name under which plugins derive from it."""
 
 
 def has_watch(backend: Backend) -> bool:
@@ -667,7 +387,7 @@ class BackendKind(msgspec.Struct, frozen=True):
     """
 
     name: str
-    """The word of the configuration: `use = "<name>"`."""
+    """Its name in the configuration: `use = "<name>"`."""
     config: type[msgspec.Struct]
     """Type of the plugin's table; decoded strictly by the kernel before `open` is called."""
     open: Callable[[Any, Host], AbstractAsyncContextManager[Backend]]
@@ -675,7 +395,7 @@ class BackendKind(msgspec.Struct, frozen=True):
     """One line for `rcpd plugins`."""
     needs: tuple[str, ...] = ()
     """Modules of an extra that it cannot be opened without; where one is not installed, the
-    gateway says which extra to install and goes on without it."""
+    gateway says which extra to install and continues without it."""
     check: Callable[[Any], None] | None = None
-    """Raise `ConfigError` for what the type of the table cannot refuse, such as a file that is not
-    there; asked by `rcpd check` too, so it opens nothing."""
+    """Raises `ConfigError` for faults that the type of the table cannot express, such as a missing
+    file; also called by `rcpd check`, so it opens nothing."""

@@ -1,29 +1,4 @@
 """`rcp_protocol.values`, under the name that plugins import."""
 
-from __future__ import annotations
-
-from rcp_protocol.values import (
-    ANY,
-    DEPTH,
-    Encoding,
-    ValueType,
-    dump,
-    is_long,
-    parse,
-    sound,
-    to_plain,
-    value_type,
-)
-
-__all__ = [
-    "ANY",
-    "DEPTH",
-    "Encoding",
-    "ValueType",
-    "dump",
-    "is_long",
-    "parse",
-    "sound",
-    "to_plain",
-    "value_type",
-]
+from rcp_protocol.values import *  # noqa: F403 - all of it
+from rcp_protocol.values import __all__  # noqa: F401 - for `from … import *`

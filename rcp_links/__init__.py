@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from rcp_links.channel import Channel, Connect
 from rcp_links.json_lines import json_lines
+from rcp_links.lateness import Lateness
 from rcp_links.link import LinkHost, RequestLink, request_link
 from rcp_links.messages import Messages
 from rcp_links.timing import LinkTiming
@@ -14,6 +15,7 @@ from rcp_links.timing import LinkTiming
 __all__ = [
     "Channel",
     "Connect",
+    "Lateness",
     "LinkHost",
     "LinkTiming",
     "Messages",

@@ -11,8 +11,7 @@ import msgspec
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.contract.digest import bounded, hashing
 from rcp_kernel.features.control import CONTROL, NoControl
-from rcp_kernel.features.frames import FrameConverter
-from rcp_kernel.features.services import ServiceKey, ServiceLookup
+from rcp_kernel.features.services import FeatureServices, ServiceKey
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.safety import check_motion
 from rcp_kernel.sessions.command import Command
@@ -28,6 +27,7 @@ from rcp_requests.journal import CommandJournal
 from rcp_requests.read import READ_OPTIONS
 from rcp_requests.request_events import RequestEvents
 from rcp_scheduling.turns import Turns
+from rcp_streams.frames import FrameConverter
 
 __all__ = ["GatewayActionHost"]
 
@@ -49,7 +49,7 @@ class GatewayActionHost:
         journal: CommandJournal,
         conditions: Conditions,
         registry: Registry,
-        services: ServiceLookup,
+        services: FeatureServices,
         personal: tuple[Container[str], ...],
         events: RequestEvents,
         turns: Turns,

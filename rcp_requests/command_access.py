@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from rcp_kernel.access.acl import reach
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.visibility import Visibility
-from rcp_kernel.contract.touches import EVERYTHING
+from rcp_kernel.contract.paths import EVERYTHING
 from rcp_kernel.errors import UnknownPath
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.command import Command

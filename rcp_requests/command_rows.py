@@ -10,7 +10,7 @@ import structlog
 from msgspec import Raw
 from msgspec.structs import asdict
 
-from rcp_kernel.contract.touches import EVERYTHING
+from rcp_kernel.contract.paths import EVERYTHING
 from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Continuation, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue

@@ -12,7 +12,6 @@ from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.features.feature import Describe
-from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Kind, NativeType, Operation, Pattern, operation_names
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
@@ -20,6 +19,7 @@ from rcp_kernel.values import ValueType, to_plain, value_type
 from rcp_kernel.wire import Request
 from rcp_requests.discovery_page import Description, DiscoveryPage
 from rcp_requests.pages import LONGEST, MOST, cursor_of, place_of
+from rcp_streams.frames import FrameConverter
 
 __all__ = ["Discovery", "Query"]
 

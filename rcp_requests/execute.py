@@ -15,11 +15,9 @@ import msgspec
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.paths import ESTOP
-from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.queued_request import QueuedRequest
+from rcp_kernel.contract.requests import PreparedRequest, QueuedRequest
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
-from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.partners import Partners
@@ -44,6 +42,7 @@ from rcp_requests.replies import ReplyGate
 from rcp_requests.waiting import WaitingCommand
 from rcp_requests.write import DryRun, dry_run_reply
 from rcp_scheduling.turns import at_once
+from rcp_streams.frames import FrameConverter
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
@@ -437,7 +436,7 @@ def _command(call: Call) -> Command:
         request_id=request.id,
         custom=request.custom,
         timestamp=request.timestamp,
-        input=LongValue(call.value) if isinstance(request, Prepared) else call.value,
+        input=LongValue(call.value) if isinstance(request, PreparedRequest) else call.value,
         session=session.id,
         entry=entry,
     )

@@ -23,7 +23,7 @@ from rcp_streams.subscription import subscriptions_of
 
 __all__ = ["Handshake"]
 
-_RECENT = 30.0  # s: final replies sent this shortly before a cut are said again
+_RECENT = 30.0  # s: final replies sent this shortly before a disconnection are sent again
 _UNHEARD = 4  # heartbeats until a dead peer is detected: messages sent meanwhile are lost
 
 
@@ -68,7 +68,7 @@ class Handshake:
     def greet(
         self, connection: SessionConnection, hello: Hello, principal: Principal | None = None
     ) -> dict[str, Any]:
-        """Perform `hello`, whose token proved `principal`: resume or keep the session, agree.
+        """Perform `hello`, whose token proved `principal`: resume or keep the session, agree on limits.
 
         :raises Unauthenticated: the session is another principal's, or invalid resume token.
         :raises Gap: the session no longer exists.
@@ -236,7 +236,7 @@ class Handshake:
 
 
 def _proves(text: str, session: Session | StoredSession) -> bool:
-    """Tell whether a text is the resume token of a session."""
+    """Return whether a text is the resume token of a session."""
     if isinstance(session, StoredSession):
         text = hashed(text)
     return secrets.compare_digest(session.secret.encode(), text.encode())

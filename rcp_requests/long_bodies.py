@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 
 from rcp_kernel.contract.digest import hashing
-from rcp_kernel.contract.prepared import Prepared
+from rcp_kernel.contract.requests import PreparedRequest
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
@@ -37,7 +37,7 @@ class LongBodies:
             len(request.body) > LONG
             and request.type in _TYPES
             and (request.path or "") not in self._actions
-            and not isinstance(request, Prepared)
+            and not isinstance(request, PreparedRequest)
         )
 
     def prepare(self, session: Session, request: Request) -> Generator[None, None, Request]:
@@ -56,7 +56,7 @@ class LongBodies:
             outcome = error
         yield
         recorded = yield from hashing(bytes(request.body))
-        return Prepared(
+        return PreparedRequest(
             **msgspec.structs.asdict(request),
             type_of_body=type_,
             outcome=outcome,

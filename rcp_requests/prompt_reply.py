@@ -8,10 +8,10 @@ __all__ = ["PromptReply"]
 
 
 class PromptReply(msgspec.Struct, frozen=True, gc=False):
-    """A final reply in JSON that tells no error, spliced around what was encoded before."""
+    """A successful final reply in JSON, spliced around an encoding made earlier."""
 
     data: bytes
     seq: int = 0
-    """Number of the sample that was read; of another request 0."""
+    """Number of the sample that was read; 0 for any other request."""
     stale: bool = False
-    """Whether that sample has a successor overdue."""
+    """Whether that sample is stale."""

@@ -23,7 +23,6 @@ from rcp_kernel.errors import (
     RcpError,
     UnsupportedOperation,
 )
-from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, Pages, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.account import passes
@@ -41,6 +40,7 @@ from rcp_requests.pages import LONGEST, MOST, cursor_of, place_of, room
 from rcp_requests.pattern_read import PatternRead
 from rcp_requests.prompt_reply import PromptReply
 from rcp_scheduling.turns import Turns, Work, at_once
+from rcp_streams.frames import FrameConverter
 
 __all__ = ["READ_OPTIONS", "ReadHandler", "ReadOptions"]
 

@@ -27,7 +27,6 @@ from rcp_kernel.errors import (
     UnknownPath,
     UnsupportedOperation,
 )
-from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.resource import Filter, View
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.notices import notice
@@ -43,7 +42,7 @@ from rcp_requests.object_list import is_listing, listed
 from rcp_requests.pages import MOST, MOST_BYTES, cursor_of
 from rcp_scheduling.turns import Work
 from rcp_streams.conditional import ConditionalSubscriptions
-from rcp_streams.framed import FrameView, RemoteFramedPathSubscription
+from rcp_streams.frames import FrameConverter, FrameView
 from rcp_streams.hub import Hub
 from rcp_streams.links import SubscriptionLinker
 from rcp_streams.options import Options, check_fields, seconds
@@ -322,8 +321,8 @@ class SubscribeHandler:
     ) -> None:
         if subscription.may(feed.entry):
             self._conditional.place(session, feed)
-            if isinstance(feed, RemoteFramedPathSubscription) and feed in feed.entry.framed:
-                feed.follow()  # as who it is now
+            if feed.remote and feed in feed.entry.framed:
+                feed.follow()  # with the current rights
             return
         self._hub.drop(feed)
         notice(

@@ -9,7 +9,7 @@ from typing import Any
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.internal_errors import attribute_error
-from rcp_kernel.contract.prepared import Prepared
+from rcp_kernel.contract.requests import PreparedRequest
 from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
@@ -147,7 +147,7 @@ class WriteHandler:
         finally:
             self._deadman.end_write(entry, task)
             del task  # avoids a reference cycle through the traceback of its error
-        if isinstance(request, Prepared):
+        if isinstance(request, PreparedRequest):
             owner = call.session.principal.identity
             await self._turns.finish(owner, sample.encode_in_steps())
         return sample
@@ -189,7 +189,7 @@ class WriteHandler:
 
 def _written(request: Request, entry: Entry, sample: Sample) -> Reply:
     body: Body = sample
-    if isinstance(request, Prepared):  # a newer sample would drop the encodings of this one
+    if isinstance(request, PreparedRequest):  # a newer sample would drop the encodings of this one
         body = LongValue(sample.value, sample.encoded(Encoding.JSON))
     return Reply(
         type="write",

@@ -7,7 +7,6 @@ import asyncio
 from rcp_kernel.sessions.notices import notice
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
-from rcp_streams.framed import RemoteFramedPathSubscription
 from rcp_streams.path_subscription import PathSubscription
 from rcp_streams.shared_fanout import path_subscriptions_of
 
@@ -57,8 +56,8 @@ class DeadlineMonitor:
             self._sweep = self._loop.call_later(_SWEEP, self.poll)
 
     def tell(self, feed: PathSubscription) -> None:
-        """Notify one subscriber that a value is stale; one in a frame of the robot's is told why."""
-        if isinstance(feed, RemoteFramedPathSubscription):
+        """Notify one subscriber that a value is stale, unless the robot's own gateway sends its values."""
+        if feed.remote:
             return
         age = feed.entry.age
         notice(
@@ -75,8 +74,7 @@ class DeadlineMonitor:
         limit = feed.subscription.options.qos.deadline
         if limit is None:
             return
-        # Its values in a frame of the robot's come on their own.
-        age = None if isinstance(feed, RemoteFramedPathSubscription) else feed.entry.age
+        age = None if feed.remote else feed.entry.age
         late = moment - feed.heard > limit and (age is None or age > limit)
         if late and not feed.missed:
             notice(

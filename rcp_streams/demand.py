@@ -18,7 +18,6 @@ from rcp_kernel.spi import has_watch
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.tree.samples import Sample
-from rcp_streams.framed import RemoteFramedPathSubscription
 from rcp_streams.path_subscription import PathSubscription
 
 __all__ = ["AbsentListener", "DemandTracker", "absent_listener"]
@@ -88,8 +87,7 @@ class DemandTracker:
                 watch.want(entry, 0.0)
             self.retune(entry)
             for feed in entry.framed:
-                if isinstance(feed, RemoteFramedPathSubscription):
-                    feed.follow()
+                feed.follow()
 
     async def close(self) -> None:
         """Exit all watches."""

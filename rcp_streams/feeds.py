@@ -8,7 +8,6 @@ from rcp_streams.filtered import (
     ViewSubscription,
     VisibilityFilteredSubscription,
 )
-from rcp_streams.framed import FramedPathSubscription, RemoteFramedPathSubscription
 from rcp_streams.path_subscription import PathSubscription
 from rcp_streams.shared_fanout import SharedPathSubscription
 from rcp_streams.subscription import Subscription
@@ -25,8 +24,7 @@ def new_path_subscription(subscription: Subscription, entry: Entry) -> PathSubsc
     if (shown := subscription.visibility_filter(entry)) is not None:
         return VisibilityFilteredSubscription(subscription, entry, outbox, shown)
     if (framed := subscription.framed(entry)) is not None:
-        converted = RemoteFramedPathSubscription if framed.remote else FramedPathSubscription
-        return converted(subscription, entry, outbox, framed)
+        return framed.feed(subscription, entry, outbox)
     options = subscription.options
     if not options.plain:
         return FilteredPathSubscription(subscription, entry, outbox)

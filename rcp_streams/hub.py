@@ -14,14 +14,8 @@ from rcp_scheduling.timers import Timers
 from rcp_streams.deadline_monitor import DeadlineMonitor
 from rcp_streams.demand import AbsentListener, DemandTracker, absent_listener
 from rcp_streams.feeds import new_path_subscription
-from rcp_streams.framed import RemoteFramedPathSubscription
 from rcp_streams.path_subscription import PathSubscription
-from rcp_streams.shared_fanout import (
-    SharedPathSubscription,
-    join_fanout,
-    leave_fanout,
-    path_subscriptions_of,
-)
+from rcp_streams.shared_fanout import path_subscriptions_of
 from rcp_streams.subscription import Subscription
 
 __all__ = ["Hub"]
@@ -99,9 +93,7 @@ class Hub:
 
     def pause(self, feed: PathSubscription) -> None:
         """Pause sending for a path; its queued samples are dropped."""
-        self.release(feed)
-        self.unlink(feed)
-        feed.leave()
+        self.let_go(feed)
         feed.outbox = feed.subscription.outbox
         feed.paused = True
 
@@ -121,33 +113,37 @@ class Hub:
 
     def retain(self, feed: PathSubscription) -> None:
         """Keep the history of a feed's path while its client is disconnected."""
-        if not feed.kept:
-            feed.kept = True
-            self._keep(feed)
+        if feed.kept:
+            return
+        feed.kept = True
+        if feed.remote:  # there is no history of its values here
+            return
+        entry, absent = feed.entry, absent_listener(feed.entry)
+        if absent is None:
+            absent = AbsentListener()
+            entry.listeners.append(absent)
+            if len(entry.listeners) == 1:
+                entry.size_ring()
+        absent.add(feed.subscription.options.rate)
+        self.demand.retune(entry)
 
     def release(self, feed: PathSubscription) -> None:
         """Stop keeping the history for a feed."""
-        if feed.kept:
-            feed.kept = False
-            self._unkeep(feed)
-
-    def _keep(self, feed: PathSubscription) -> None:
-        """Keep the history of a path for a disconnected client; there is none of other frames."""
-        if isinstance(feed, RemoteFramedPathSubscription):
+        if not feed.kept:
             return
-        _keep_history(feed.entry, feed.subscription.options.rate)
-        self.demand.retune(feed.entry)
+        feed.kept = False
+        entry, absent = feed.entry, absent_listener(feed.entry)
+        if feed.remote or absent is None:
+            return
+        if absent.discard(feed.subscription.options.rate):
+            if not absent:
+                entry.listeners.remove(absent)
+            self._left(entry)
 
     def relink(self, feed: PathSubscription) -> None:
         """Offer samples to a feed again."""
         entry = feed.entry
-        if isinstance(feed, RemoteFramedPathSubscription):
-            entry.framed += (feed,)
-            feed.follow()
-        elif isinstance(feed, SharedPathSubscription):
-            join_fanout(feed, entry, self.flush_scheduler)
-        else:
-            entry.listeners.append(feed)
+        feed.listen(self.flush_scheduler)
         if len(entry.listeners) == 1:
             entry.size_ring()
         feed.heard = entry.clock.monotonic()
@@ -157,7 +153,7 @@ class Hub:
 
     def unlink(self, feed: PathSubscription) -> None:
         """Stop offering samples to a feed."""
-        if self._unlink(feed):
+        if feed.unlisten():
             self._left(feed.entry)
 
     def _left(self, entry: Entry) -> None:
@@ -166,23 +162,6 @@ class Hub:
                 self.deadline_monitor.forget(entry)
             entry.size_ring()
         self.demand.retune(entry)
-
-    @staticmethod
-    def _unlink(feed: PathSubscription) -> bool:
-        """Remove a feed from its entry's listeners; return whether it was among them."""
-        if isinstance(feed, SharedPathSubscription):
-            return leave_fanout(feed, feed.entry)
-        entry = feed.entry
-        if isinstance(feed, RemoteFramedPathSubscription):
-            feed.unfollow()
-            known = feed in entry.framed
-            entry.framed = tuple(one for one in entry.framed if one is not feed)
-            return known
-        if feed not in entry.listeners:
-            return False
-        # A new list, because a sample may just be being offered to the old one.
-        entry.listeners = [listener for listener in entry.listeners if listener is not feed]
-        return True
 
     def listen(self, entry: Entry, listener: Listener) -> None:
         """Offer every sample to a listener of the gateway, and keep the source running for it."""
@@ -200,20 +179,8 @@ class Hub:
 
     def drop(self, feed: PathSubscription) -> None:
         """Remove one path from a subscription."""
-        subscription = feed.subscription
-        del subscription.feeds[feed.entry.path]
-        self.release(feed)
-        self.unlink(feed)
-        feed.leave()
-
-    def _unkeep(self, feed: PathSubscription) -> None:
-        entry, absent = feed.entry, absent_listener(feed.entry)
-        if isinstance(feed, RemoteFramedPathSubscription):
-            return
-        if absent is not None and absent.discard(feed.subscription.options.rate):
-            if not absent:
-                entry.listeners.remove(absent)
-            self._left(entry)
+        del feed.subscription.feeds[feed.entry.path]
+        self.let_go(feed)
 
     def sustain(self, entry: Entry, rate: float) -> None:
         """Keep an entry published at `rate` Hz at least, regardless of subscribers; 0.0 ends this."""
@@ -249,7 +216,7 @@ class Hub:
 
     def _removed(self, entry: Entry) -> None:
         for feed in list(path_subscriptions_of(entry)):
-            if self._unlink(feed):
+            if feed.unlisten():
                 subscription = feed.subscription
                 notice(subscription.outbox, "resource_removed", id=subscription.id, path=entry.path)
         self.deadline_monitor.forget(entry)
@@ -262,14 +229,3 @@ class Hub:
         self._timers.close()
         self.deadline_monitor.close()
         await self.demand.close()
-
-
-def _keep_history(entry: Entry, rate: float | None) -> None:
-    """Keep an entry's history for a client that needs `rate` from its source."""
-    absent = absent_listener(entry)
-    if absent is None:
-        absent = AbsentListener()
-        entry.listeners.append(absent)
-        if len(entry.listeners) == 1:
-            entry.size_ring()
-    absent.add(rate)

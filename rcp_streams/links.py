@@ -6,7 +6,7 @@ it, and the tree may change: each step uses the current state.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Generator, Hashable, Iterator
 
 from rcp_kernel.sessions.notices import notice
 from rcp_kernel.sessions.outbox import Outbox
@@ -14,15 +14,15 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_scheduling.turns import Turns, Work
 from rcp_streams.feeds import new_path_subscription
-from rcp_streams.framed import RemoteFramedPathSubscription
 from rcp_streams.hub import Hub
-from rcp_streams.past import admitted, past
+from rcp_streams.options import seconds
 from rcp_streams.path_subscription import PathSubscription
 from rcp_streams.subscription import Subscription
 
 __all__ = ["SubscriptionLinker"]
 
 _STEP = 32  # paths linked or unlinked per step
+_FILTERED = 16  # samples per step: filters and access rules take time for each of up to a thousand
 _STREAMS = "streams"  # key, with an owner, of the work on its subscriptions
 _LONGEST = 86_400.0 * 365  # s: maximum of a timer
 
@@ -92,7 +92,7 @@ class SubscriptionLinker:
         history, last = subscription.options.history, subscription.awaited[path]
         samples: list[Sample] = []
         if history:
-            samples = yield from admitted(feed, past(feed, history, last))
+            samples = yield from _admitted(feed, _past(feed, history, last))
             if path not in subscription.awaited:
                 return
             if self._hub.registry.entries.get(path) is not entry:  # replaced or removed
@@ -190,8 +190,8 @@ class SubscriptionLinker:
 
     def _replay(self, feed: PathSubscription, known: int) -> Work:
         ring = feed.entry.ring
-        if feed.entry.seq <= known or isinstance(feed, RemoteFramedPathSubscription):
-            return  # in another frame, it tells itself what is missing
+        if feed.entry.seq <= known or feed.remote:
+            return  # a remote one reports its own gaps
         oldest = ring[0].seq if ring else feed.entry.seq + 1
         if oldest > known + 1:
             lost = oldest - known - 1
@@ -207,7 +207,7 @@ class SubscriptionLinker:
                 message=f"{lost} samples of {feed.entry.path} are no longer in the replay buffer",
             )
         outbox = feed.outbox
-        samples = yield from admitted(feed, [sample for sample in ring if sample.seq > known])
+        samples = yield from _admitted(feed, [sample for sample in ring if sample.seq > known])
         if feed.outbox is outbox:
             feed.replay(samples)
 
@@ -229,3 +229,29 @@ class SubscriptionLinker:
             ended()
 
         self.begin(subscription, work())
+
+
+def _past(feed: PathSubscription, history: int | str, last: int) -> list[Sample]:
+    """Return the samples that `history` selects, oldest first, and all after number `last`."""
+    ring = list(feed.entry.ring)
+    if isinstance(history, int):
+        newer = sum(sample.seq > last for sample in ring)
+        return ring[-history - newer :] if history + newer else []
+    since = feed.entry.clock.now() - int(seconds(history) * 1e9)
+    return [sample for sample in ring if sample.received >= since or sample.seq > last]
+
+
+def _admitted(feed: PathSubscription, samples: list[Sample]) -> Generator[None, None, list[Sample]]:
+    """Return those of `samples`, and of samples published meanwhile, that pass a feed's filters."""
+    if not feed.judges:
+        return samples
+    passed: list[Sample] = []
+    while samples:
+        for number, sample in enumerate(samples, 1):
+            if (admitted := feed.admit(sample)) is not None:
+                passed.append(admitted)
+            if not number % _FILTERED:
+                yield
+        last = samples[-1].seq
+        samples = [sample for sample in feed.entry.ring if sample.seq > last]
+    return passed

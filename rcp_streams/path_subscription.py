@@ -1,4 +1,4 @@
-"""One path of one subscription, in names a `feed`: its queue, and the encoding of its updates.
+"""One path of one subscription (a `feed` in names): its queue, and the encoding of its updates.
 
 The plain feed, used for most poses at 50 Hz, does a list access and a deque append per sample.
 """
@@ -12,7 +12,7 @@ from weakref import WeakValueDictionary
 
 from rcp_conditions.filters import Where
 from rcp_kernel.errors import RcpError
-from rcp_kernel.sessions.outbox import Framing, Outbox, Wrap
+from rcp_kernel.sessions.outbox import FlushScheduler, Framing, Outbox, Wrap
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import NATIVE, Fields, Rendering, Sample
 from rcp_kernel.values import Encoding
@@ -90,6 +90,9 @@ class PathSubscription:
     judges = False
     """Whether `admit` may drop or reduce a sample."""
 
+    remote = False
+    """Whether its values are not the samples of its entry, but come from the robot's own gateway."""
+
     __slots__ = (
         "_heads",
         "_lifespan",
@@ -131,7 +134,7 @@ class PathSubscription:
         self.named = not self.native
         """Whether the client was sent the name of the native type."""
         self.dropped = 0
-        """Samples skipped since the last update that was sent, which the next one tells the client."""
+        """Samples skipped since the last update that was sent; the next one tells the client."""
         self.sent = entry.seq
         """Number of the last sample that the client has or that preceded its subscription: only later
         ones can be missed."""
@@ -154,6 +157,22 @@ class PathSubscription:
         self._heads: tuple[Encoding, bytes, bytes] | None = None
         self.share: object = None
         """The key of the frame that all feeds with the same head share in a sample."""
+
+    def listen(self, scheduler: FlushScheduler) -> None:
+        """Add it to the listeners of its entry, which offer it all samples from now on."""
+        self.entry.listeners.append(self)
+
+    def unlisten(self) -> bool:
+        """Remove it from the listeners of its entry; return whether it was among them."""
+        entry = self.entry
+        if self not in entry.listeners:
+            return False
+        # A new list, because a sample may just be being offered to the old one.
+        entry.listeners = [listener for listener in entry.listeners if listener is not self]
+        return True
+
+    def follow(self) -> None:
+        """Receive values with the current rights and backend; only for a `remote` one."""
 
     @property
     def waiting(self) -> int:
@@ -211,7 +230,7 @@ class PathSubscription:
                 other.conflate()
 
     def mark(self) -> None:
-        """Let the outbox collect this feed in the next tick."""
+        """Mark this feed to be collected in the next tick."""
         outbox = self.outbox
         if outbox is not None:
             self.marked = True

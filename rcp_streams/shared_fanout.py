@@ -23,8 +23,6 @@ from rcp_streams.path_subscription import SHARED, PathSubscription, Subscriber
 __all__ = [
     "SharedFanout",
     "SharedPathSubscription",
-    "join_fanout",
-    "leave_fanout",
     "path_subscriptions_of",
 ]
 
@@ -246,6 +244,36 @@ class SharedPathSubscription(PathSubscription):
         self.place = 0
         """Number of the fan-out's next sample to send."""
 
+    def listen(self, scheduler: FlushScheduler) -> None:
+        """Join the fan-out of equal feeds of its entry, from the next sample on."""
+        listeners = self.entry.listeners
+        for listener in listeners:
+            if (
+                isinstance(listener, SharedFanout)
+                and listener.depth == self.depth
+                and listener.write_interval == self.write_interval
+            ):
+                fanout = listener
+                break
+        else:
+            fanout = SharedFanout(self.depth, self.write_interval, scheduler)
+            listeners.append(fanout)
+        self.fanout = fanout
+        self.place = fanout.end
+        fanout.members.append(self)
+        fanout.marked = False
+
+    def unlisten(self) -> bool:
+        """Leave its fan-out; return whether it was in one."""
+        fanout, listeners = self.fanout, self.entry.listeners
+        if fanout is None:
+            return False
+        self.fanout = None
+        fanout.members.remove(self)
+        if not fanout.members and fanout in listeners:
+            listeners.remove(fanout)
+        return True
+
     @property
     def waiting(self) -> int:
         """Number of queued samples."""
@@ -304,37 +332,6 @@ class SharedPathSubscription(PathSubscription):
 def _takes_long(feed: SharedPathSubscription, outbox: Outbox) -> bool:
     """Return whether a sample above the budget may be sent at once, and whole."""
     return feed.longest is None and not outbox.backlog.full
-
-
-def join_fanout(feed: SharedPathSubscription, entry: Entry, scheduler: FlushScheduler) -> None:
-    """Add a feed to the fan-out of equal feeds among an entry's listeners, from the next sample on."""
-    for listener in entry.listeners:
-        if (
-            isinstance(listener, SharedFanout)
-            and listener.depth == feed.depth
-            and listener.write_interval == feed.write_interval
-        ):
-            fanout = listener
-            break
-    else:
-        fanout = SharedFanout(feed.depth, feed.write_interval, scheduler)
-        entry.listeners.append(fanout)
-    feed.fanout = fanout
-    feed.place = fanout.end
-    fanout.members.append(feed)
-    fanout.marked = False
-
-
-def leave_fanout(feed: SharedPathSubscription, entry: Entry) -> bool:
-    """Remove a feed from its fan-out; return whether it was in one."""
-    fanout = feed.fanout
-    if fanout is None:
-        return False
-    feed.fanout = None
-    fanout.members.remove(feed)
-    if not fanout.members and fanout in entry.listeners:
-        entry.listeners.remove(fanout)
-    return True
 
 
 def path_subscriptions_of(entry: Entry) -> Iterator[PathSubscription]:

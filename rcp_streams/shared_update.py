@@ -18,13 +18,13 @@ class _Value:
         self._error: Exception | None = None
 
     def wait(self) -> Generator[None, None, Any]:
-        """Take steps until the value is there: whoever has a turn, so that none waits for another."""
+        """Compute the value, in the turns of whichever reader has one, so that none waits for another."""
         while not self._done:
             try:
                 next(self._steps)
             except StopIteration as end:
                 self._done, self._value = True, end.value
-            except Exception as error:  # each reader tells of it
+            except Exception as error:  # each reader reports it
                 self._done, self._error = True, error
             else:
                 yield
@@ -47,7 +47,7 @@ class SharedUpdate:
         self._values: dict[Hashable, _Value] = {}
 
     def make(self, key: Hashable, steps: Generator[None, None, Any]) -> Generator[None, None, Any]:
-        """Return the value for a key, which `steps` compute if nobody else does.
+        """Return the value for a key, computed by `steps` unless another reader has begun it.
 
         The first step is taken at once, while what the key says of the reader holds.
         """

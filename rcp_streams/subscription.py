@@ -9,12 +9,12 @@ import msgspec
 
 from rcp_conditions.filters import Where, parse_where
 from rcp_kernel.errors import Overrun, RcpError
-from rcp_kernel.features.frames import FrameView
 from rcp_kernel.model import Pattern
 from rcp_kernel.sessions.outbox import Outbox
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_streams.filtered import View
+from rcp_streams.frames import FrameView
 from rcp_streams.options import Options
 from rcp_streams.path_subscription import PathSubscription
 

@@ -115,7 +115,8 @@ def plugins() -> None:
     """List the installed plugins, and what to install for those that cannot be used."""
     import importlib
 
-    from rcp_gateway.plugins import GROUPS, installed, obstacle
+    from rcp_gateway.plugins import GROUPS, installed
+    from rcpd.installed import obstacle
 
     for group in GROUPS:
         for name, point in sorted(installed(group).items()):

@@ -10,8 +10,9 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rcp_gateway.plugins import installed, obstacle
+from rcp_gateway.plugins import installed
 from rcp_gateway.server import Server
+from rcpd.installed import obstacle
 
 __all__ = ["Demo", "token_file"]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_gateway.plugins import GROUPS, Plugins, installed, obstacle
+from rcp_gateway.plugins import GROUPS, Plugins, installed
 from rcp_gateway.server import Prepared, prepare
 from rcp_kernel.access.identities import check_proofs
 from rcp_kernel.config.features import BUILTIN
@@ -19,6 +19,7 @@ from rcp_kernel.features import FeatureKind
 from rcp_protocol.plain import is_map
 from rcp_toml.positions import Place
 from rcpd.faults import FAULTY
+from rcpd.installed import obstacle
 from rcpd.survey import Finding, Survey
 from rcpd.words import nearest
 

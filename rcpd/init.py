@@ -13,9 +13,10 @@ from typing import Any
 
 import click
 
-from rcp_gateway.plugins import installed, obstacle
+from rcp_gateway.plugins import installed
 from rcp_kernel.errors import ConfigError
 from rcpd.exits import fail
+from rcpd.installed import obstacle
 from rcpd.starter import ROBOTS, Answers, is_local, starter_files, write_files
 
 __all__ = ["init"]

@@ -26,7 +26,7 @@ __all__ = ["profiles", "write_profiles"]
 )
 def profiles(name: str | None, *, schema: bool, write: Path | None) -> None:
     """List the profiles that robots can claim, or show the one called NAME."""
-    from rcp_gateway.plugins import published_profiles
+    from rcpd.installed import published_profiles
 
     try:
         known = published_profiles()

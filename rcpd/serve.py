@@ -169,6 +169,6 @@ def _watch_probation(
 
     probation = Probation(server, file, restart)
     stack.callback(probation.close)
-    serve = server.kernel.features.service(SERVED_CONFIGURATION)
+    serve = server.client_api.service(SERVED_CONFIGURATION)
     if serve is not None:
         serve(probation)

@@ -12,8 +12,7 @@ import msgspec
 
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, BackendConfig, GatewayConfig
 from rcp_kernel.config.identity import check_grants, check_identity
-from rcp_kernel.config.role import BUILTIN_ROLES, Role
-from rcp_kernel.config.roles import check_roles
+from rcp_kernel.config.role import BUILTIN_ROLES, Role, check_roles
 from rcp_kernel.config.safety import check_groups
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import ConfigError

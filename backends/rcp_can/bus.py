@@ -17,9 +17,9 @@ from rcp_can.interface import open_interface
 from rcp_can.load import seconds_on_the_bus
 from rcp_can.routing import Listener, Route, RoutingTable
 from rcp_can.wire import Wire
-from rcp_kernel.clock import Lateness
 from rcp_kernel.errors import AdapterUnavailable, QueueFull
 from rcp_kernel.spi import Host
+from rcp_links import Lateness
 
 if TYPE_CHECKING:
     import can

@@ -9,8 +9,8 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from rcp_kernel.clock import Lateness
 from rcp_kernel.errors import AdapterUnavailable
+from rcp_links import Lateness
 from rcp_mavlink.dialect import Dialect
 from rcp_mavlink.flightmodes import Family, family
 from rcp_mavlink.frames import Frame

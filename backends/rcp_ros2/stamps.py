@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections import deque
 
-from rcp_kernel.clock import Lateness
+from rcp_links import Lateness
 
 __all__ = ["Delays", "Ticks"]
 

@@ -11,8 +11,8 @@ import msgspec
 from rcp_kernel.contract.digest import LONGEST, bounded, hashed
 from rcp_kernel.contract.events import Event
 from rcp_kernel.contract.identity import Principal
-from rcp_kernel.contract.prepared import Prepared
-from rcp_kernel.contract.touches import EVERYTHING
+from rcp_kernel.contract.paths import EVERYTHING
+from rcp_kernel.contract.requests import PreparedRequest
 from rcp_kernel.features.approval import ID
 from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.command import Command, Record
@@ -101,7 +101,7 @@ def _bounded(outline: Mapping[str, Any]) -> dict[str, Any]:
 def _value(request: Request, *, hide: bool) -> Any:
     """Return the recorded form of a request's body; None if there is none."""
     body = bytes(request.body)
-    if body and not hide and isinstance(request, Prepared):
+    if body and not hide and isinstance(request, PreparedRequest):
         return request.recorded
     if hide or len(body) > LONGEST:
         return hashed(body)

@@ -16,7 +16,7 @@ from rcp_audit.retention import Retention
 from rcp_audit.throttle import DenialThrottle
 from rcp_kernel.contract.digest import bounded
 from rcp_kernel.contract.events import Event
-from rcp_kernel.contract.touches import bounded_touches
+from rcp_kernel.contract.paths import bounded_touches
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.wire import FINAL

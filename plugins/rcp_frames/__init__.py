@@ -9,6 +9,7 @@ from rcp_frames.config import FramesConfig, Origin, check
 from rcp_frames.converter import Frames
 from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.features import Feature, FeatureHost, FeatureKind
+from rcp_streams.frames import FRAMES
 
 __all__ = ["FramesConfig", "Origin", "rcp_features"]
 
@@ -23,7 +24,7 @@ def _make(config: FramesConfig, host: FeatureHost) -> Feature:
         finally:
             frames.close()
 
-    return Feature(frames=frames, reconfigure=frames.configure, running=running)
+    return Feature(services={FRAMES: frames}, reconfigure=frames.configure, running=running)
 
 
 @hookimpl

@@ -9,6 +9,7 @@ from weakref import WeakValueDictionary
 
 from rcp_frames.config import EARTH, FramesConfig
 from rcp_frames.demand import PoseDemand
+from rcp_frames.feeds import ConvertedFeed
 from rcp_frames.goal_schema import widened
 from rcp_frames.goals import goal_frame, in_robot_frame, own_frame
 from rcp_frames.moves import Move
@@ -25,16 +26,18 @@ from rcp_frames.robot import (
 )
 from rcp_frames.shapes import Shape, shape_of
 from rcp_kernel.access.acl import Rights, reach
-from rcp_kernel.errors import FilterUnsupported, RcpError, UnsupportedOperation
+from rcp_kernel.errors import FilterUnsupported, RcpError
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation
+from rcp_kernel.sessions.outbox import Outbox
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import Anchor
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ANY
 from rcp_kernel.wire import Request
-from rcp_streams.framed import FrameView
+from rcp_streams.frames import FrameView
+from rcp_streams.path_subscription import Subscriber
 
 __all__ = ["Frames"]
 
@@ -223,15 +226,9 @@ class _View:
         """Return a sample in the frame; raises as `RobotFrames.transform`."""
         return self._conversion().convert(sample)
 
-    def follow(
-        self,
-        entry: Entry,
-        rate: float | None,
-        offer: Callable[[Sample], None],
-        missing: Callable[[str], None],
-    ) -> Callable[[], None]:
-        """Refuse: this gateway converts."""
-        raise UnsupportedOperation(f"{entry.path} is converted here")
+    def feed(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> ConvertedFeed:
+        """Create the feed of a subscription."""
+        return ConvertedFeed(subscription, entry, outbox, self)
 
 
 class _Conversion:

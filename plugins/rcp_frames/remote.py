@@ -6,14 +6,17 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
+from rcp_frames.feeds import RemoteFeed
 from rcp_frames.goal_schema import Schema, resolved
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import InvalidValue, RcpError
+from rcp_kernel.sessions.outbox import Outbox
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import Backend, Encoded, FrameWatch
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType
+from rcp_streams.path_subscription import Subscriber
 
 __all__ = ["RemoteStreams", "RemoteView", "names_frame"]
 
@@ -73,6 +76,10 @@ class RemoteView:
         """Return the sample, which came converted; raises as `check`, at each one."""
         self.check()
         return sample
+
+    def feed(self, subscription: Subscriber, entry: Entry, outbox: Outbox | None) -> RemoteFeed:
+        """Create the feed of a subscription."""
+        return RemoteFeed(subscription, entry, outbox, self)
 
     def _unknown(self) -> InvalidValue:
         return InvalidValue(

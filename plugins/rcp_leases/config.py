@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from rcp_kernel.config.file import GatewayConfig
-from rcp_kernel.config.roles import check_pattern
+from rcp_kernel.config.role import check_pattern
 from rcp_kernel.errors import ConfigError
 
 __all__ = ["LeasesConfig", "check", "from_gateway"]

@@ -13,7 +13,7 @@ from typing import Any
 
 import msgspec
 
-from rcp_kernel.contract.touches import EVERYTHING
+from rcp_kernel.contract.paths import EVERYTHING
 from rcp_kernel.errors import (
     BY_CODE,
     BadRequest,

@@ -9,27 +9,22 @@ from __future__ import annotations
 
 from rcp_conditions.fields import Field
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.certificates import (
-    read_certificate,
-    read_pem,
-    require_certificates,
-    revoked_by,
-)
+from rcp_kernel.access.certificates import require_certificates
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.config.file import GatewayConfig
-from rcp_kernel.config.roles import check_pattern
+from rcp_kernel.config.role import check_pattern
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.internal_errors import to_internal_error
+from rcp_kernel.contract.paths import EVERYTHING as TOUCHES_EVERYTHING
 from rcp_kernel.contract.peer import UNKNOWN as UNKNOWN_PEER
-from rcp_kernel.contract.peer import Peer, Serial
-from rcp_kernel.contract.queued_request import QueuedRequest
-from rcp_kernel.contract.touches import EVERYTHING as TOUCHES_EVERYTHING
+from rcp_kernel.contract.peer import Certificate, Peer, Serial
+from rcp_kernel.contract.requests import QueuedRequest
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.outbound import SHARE as BACKLOG_SHARE
 from rcp_kernel.sessions.outbound import Backlog, Outbound
-from rcp_kernel.sessions.outbox import Outbox, Wrap
+from rcp_kernel.sessions.outbox import Wrap
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.substitutes import left_out
 from rcp_kernel.tree.samples import Rendering, Sample
@@ -49,13 +44,13 @@ __all__ = [
     "TOUCHES_EVERYTHING",
     "UNKNOWN_PEER",
     "Backlog",
+    "Certificate",
     "Command",
     "Connection",
     "Field",
     "GatewayConfig",
     "Hello",
     "Outbound",
-    "Outbox",
     "Peer",
     "PluginStore",
     "Principal",
@@ -77,9 +72,6 @@ __all__ = [
     "left_out",
     "names_in",
     "others_may",
-    "read_certificate",
-    "read_pem",
     "require_certificates",
-    "revoked_by",
     "to_internal_error",
 ]

@@ -35,7 +35,7 @@ _MAX_KNOWN = 200_000  # paths with cached masks, over all sets of roles
 _MAX_COMPILED = 1000  # sets of roles with cached rights
 _NAMED = re.compile(r"/tenant/[\w./-]+")
 _RESOURCE = 4  # minimum number of slashes in the path of a resource; shorter paths are scopes
-_CONDITIONAL_SHIFT = 8  # bits by which operations are shifted that hang on a condition
+_CONDITIONAL_SHIFT = 8  # bits by which conditional operations are shifted
 # Masks are plain integers: Python makes a new flag of each `&` of two flags, at thirty times the cost.
 _DISCOVER = int(Operation.DISCOVER)
 _EVERY = int(OPERATIONS)
@@ -126,15 +126,15 @@ class Rights:
         """Cached masks, by path."""
 
     def may_reset(self, tenant: str | None) -> bool:
-        """Tell whether a latched e-stop of a tenant's robot may be reset."""
+        """Return whether a latched e-stop of a tenant's robot may be reset."""
         return any(role.reset for place, role in self._granted if place in ("*", tenant))
 
     def may_stop_all(self) -> bool:
-        """Tell whether one e-stop may stop the robots of several tenants."""
+        """Return whether one e-stop may stop the robots of several tenants."""
         return any(role.stop_all for _, role in self._granted)
 
     def asks(self, path: str) -> bool:
-        """Tell whether a person has to approve commands on a path first."""
+        """Return whether a person has to approve commands on a path first."""
         if not self.approve:
             return False
         found = self._asked.get(path)
@@ -183,10 +183,10 @@ class Rights:
         return mask
 
     def _mask_in(self, folder: str, path: str) -> int:
-        """Work the mask of a path out, or take that of its folder.
+        """Compute the mask of an existing path, or take that of its folder.
 
-        For paths that exist: those that are only asked for would fill the memory, and the time that one
-        takes would tell whether its folder exists.
+        Requested paths that do not exist would fill the memory, and the time taken would reveal whether
+        the folder exists.
         """
         try:
             known = self._folders[folder]
@@ -217,7 +217,7 @@ class Rights:
         self.masks[path] = mask
 
     def compute_mask(self, path: str) -> int:
-        """Work the mask of a path out, whether it exists or not."""
+        """Compute the mask of a path, whether it exists or not."""
         allow, deny = self._matching(self._allow, path), self._matching(self._deny, path)
         sure = _bits(r for r in allow if r.when is None)
         denied = _bits(r for r in deny if r.when is None)
@@ -236,7 +236,7 @@ class Rights:
         return [r for r in rules if r.tenant in ("*", tenant) and r.pattern.matches(path)]
 
     def permits(self, entry: Entry, operation: Operation) -> bool:
-        """Tell whether an operation is allowed now."""
+        """Return whether an operation is allowed now."""
         mask, bits = self.mask(entry.path), int(operation)
         if mask & bits:
             return True
@@ -246,11 +246,11 @@ class Rights:
         )
 
     def depends(self, entry: Entry, operation: Operation) -> bool:
-        """Tell whether it hangs on a condition whether an operation is allowed."""
+        """Return whether an operation is allowed only under a condition."""
         return bool(self.mask(entry.path) >> _CONDITIONAL_SHIFT & operation)
 
     def blocking_condition(self, entry: Entry, operation: Operation) -> Condition | None:
-        """Return the condition for want of which an operation that hangs on one is refused now."""
+        """Return the condition that currently refuses an operation; None if it is allowed."""
         conditions = self._conditions
         terms = self._terms_of(entry.path)
         for one in terms.deny:
@@ -277,7 +277,7 @@ class Rights:
         return terms
 
     def shows(self, condition: Condition, entry: Entry) -> bool:
-        """Tell whether all values may be read that a condition is about."""
+        """Return whether all values that a condition uses may be read."""
         if self._conditions is None:
             return False
         found = [self._conditions.resource(ref, entry) for ref in condition.refs]
@@ -292,14 +292,14 @@ class Rights:
 
 
 class Room:
-    """Bounds what all rights together keep of single paths."""
+    """Limits how many paths all rights together cache."""
 
     def __init__(self) -> None:
         self.users: WeakSet[Rights] = WeakSet()
         self._taken = 0
 
     def take(self) -> None:
-        """Count one more path; one too many has all of them forgotten."""
+        """Count one more path; beyond the limit, all of them are forgotten."""
         self._taken += 1
         if self._taken > _MAX_KNOWN:
             self._taken = 1
@@ -315,7 +315,7 @@ def _bits(rules: Iterable[_Reach]) -> int:
 
 
 def _tells_apart(text: str, folder: str) -> bool:
-    """Tell whether a pattern may match one path in a folder and not another, by the name alone."""
+    """Return whether a pattern may match one path in a folder and not another, by the name alone."""
     head, _, last = text.rpartition("/")
     if last == "**" and _pattern(text).matches(folder):  # and so everything below it
         return False

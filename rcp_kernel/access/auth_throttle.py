@@ -18,7 +18,7 @@ __all__ = ["AuthThrottle"]
 _ADDRESSES = 20_000
 _GOOD = 20_000  # credentials
 _PERIOD = 60.0  # s in which the whole allowance recovers
-_SIGNED = 0.01  # s from a wrong signature to the next one of an address without patience left
+_SIGNED = 0.01  # s between two signatures from an address that has used up its allowance
 
 
 class AuthThrottle:
@@ -28,7 +28,7 @@ class AuthThrottle:
         self.allowance = allowance
         self._clock = clock
         self._spent: dict[str, tuple[float, float]] = {}
-        """Failures not forgotten yet, and when that was worked out."""
+        """Number of failures not forgotten yet, and when it was computed."""
         self._good: dict[str, None] = {}
         self._next: dict[str, float] = {}
         """When the next signature of a network may be verified."""
@@ -74,7 +74,7 @@ class AuthThrottle:
         self._next[network] = moment + _SIGNED
 
     def forgive(self, address: str | None) -> None:
-        """Take back one failure."""
+        """Subtract one failure."""
         network = None if address is None else _network(address)
         if network is None or network not in self._spent:
             return
@@ -85,7 +85,7 @@ class AuthThrottle:
             self._forget(network)
 
     def succeeded(self, digest: str) -> None:
-        """Keep in mind that a credential is good."""
+        """Remember that a credential is valid."""
         if digest not in self._good:
             if len(self._good) >= _GOOD:
                 del self._good[next(iter(self._good))]
@@ -108,7 +108,7 @@ class AuthThrottle:
 
 
 def _network(address: str) -> str:
-    """Return what one party has: an IPv4 address, or the /64 of an IPv6 address."""
+    """Return the part of an address that one party has: an IPv4 address, or an IPv6 /64."""
     try:
         found = ip_address(address.partition("%")[0])
     except ValueError:

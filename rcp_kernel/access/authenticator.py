@@ -14,7 +14,7 @@ __all__ = ["Authenticator", "TokenIssuer"]
 
 
 class TokenIssuer(msgspec.Struct, frozen=True):
-    """Who gives out tokens that an authenticator verifies, for what describes the gateway."""
+    """An issuer of the tokens that an authenticator verifies, for descriptions of the gateway."""
 
     url: str
     discovery: bool
@@ -24,9 +24,8 @@ class TokenIssuer(msgspec.Struct, frozen=True):
 class Authenticator(ABC):
     """Verifies tokens other than the keys of the configuration. For the event loop's thread.
 
-    The gateway checks those keys first. Any other token goes to the first
-    authenticator, by name, that recognises it. The gateway limits how often an address may try
-    invalid tokens, checks
+    The gateway checks those keys first. Any other token goes to the first authenticator, by name,
+    that recognises it. The gateway limits how often an address may try invalid tokens, checks
     `expires`, and compares the principal with the client certificate of the connection.
     """
 
@@ -44,20 +43,19 @@ class Authenticator(ABC):
 
     def __init__(self) -> None:
         self.on_change: list[Callable[[], None]] = []
-        """To be called after a principal may be worth something else than before: the gateway then
-        asks `renewed` for every session, and ends those that lost theirs."""
+        """To be called after the rights or validity of a principal may have changed: the gateway then
+        calls `renewed` for every session, and ends those whose principal is no longer valid."""
 
     @abstractmethod
     def recognises(self, token: str) -> bool:
-        """Tell by its form alone whether a token is of this kind; must cost next to nothing."""
+        """Return whether a token is of this kind, by its form alone; must be very fast."""
 
     @abstractmethod
     def verify(self, token: str, digest: str, *, fetched: bool = False) -> Principal | None:
         """Return the principal of a token; `digest` is its SHA-256, the principal's `credential`.
 
         Must not block. None means that something must be fetched first: the gateway then awaits
-        `fetch`
-        and calls this again with `fetched`.
+        `fetch` and calls this again with `fetched`.
 
         :raises Unauthenticated: the token is not valid.
         :raises TokenExpired: it has expired.

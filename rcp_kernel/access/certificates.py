@@ -1,14 +1,13 @@
-"""Client certificates: their contents, and the principals they prove.
+"""Client certificates, and the principals that they prove.
 
-The transport verifies a certificate (chain, time, key); this module parses it and looks it up.
-`cryptography` is imported on demand: it comes with the extra `tls`.
+The transport verifies and parses a certificate; this module looks it up. `cryptography` is imported
+on demand: it comes with the extra `tls`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
-from functools import lru_cache
+from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -18,11 +17,9 @@ from rcp_kernel.contract.peer import Certificate, Serial
 from rcp_kernel.errors import ConfigError, TokenExpired, Unauthenticated
 
 if TYPE_CHECKING:
-    from cryptography import x509
-
     from rcp_kernel.config.file import CertificateConfig
 
-__all__ = ["Certificates", "read_certificate", "read_pem", "require_certificates", "revoked_by"]
+__all__ = ["Certificates", "require_certificates"]
 
 _STOPS = {"DNS": ".", "URI": "/", "email": "@"}
 """Separators that a `*` in a pattern does not match."""
@@ -39,72 +36,6 @@ def require_certificates(where: str) -> None:
             f"{where} certificates cannot be read (No module named 'cryptography'); try: "
             "pip install 'rcp-gateway[tls]'"
         )
-
-
-@lru_cache(maxsize=1024)
-def read_certificate(der: bytes) -> Certificate | None:
-    """Read a certificate; None if no sense can be made of it."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives.hashes import SHA256
-    from cryptography.x509.oid import NameOID
-
-    try:
-        found = x509.load_der_x509_certificate(der)
-        names = found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-        common = names[0].value if len(names) == 1 else None
-        return Certificate(
-            subject=found.subject.rfc4514_string(),
-            common_name=common if isinstance(common, str) else None,
-            sans=tuple(_sans(found)),
-            issuer=found.issuer.rfc4514_string(),
-            serial=found.serial_number,
-            expires=int(found.not_valid_after_utc.timestamp()) * 1_000_000_000,
-            fingerprint=found.fingerprint(SHA256()).hex(),
-        )
-    except ValueError:
-        return None
-
-
-def read_pem(pem: bytes) -> Certificate | None:
-    """Read the first certificate of a file; None if there is none."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives.serialization import Encoding
-
-    try:
-        return read_certificate(x509.load_pem_x509_certificates(pem)[0].public_bytes(Encoding.DER))
-    except ValueError:
-        return None
-
-
-def _sans(found: x509.Certificate) -> Iterator[str]:
-    from cryptography import x509
-
-    try:
-        extension = found.extensions.get_extension_for_class(x509.SubjectAlternativeName)
-    except x509.ExtensionNotFound:
-        return
-    for name in extension.value:
-        if isinstance(name, x509.DNSName):
-            yield f"DNS:{name.value.lower()}"
-        elif isinstance(name, x509.UniformResourceIdentifier):
-            yield f"URI:{name.value}"
-        elif isinstance(name, x509.RFC822Name):
-            yield f"email:{name.value}"
-
-
-def revoked_by(pem: bytes) -> frozenset[Serial]:
-    """Read lists of revoked certificates, one behind the other.
-
-    :raises ValueError: one of them is none.
-    """
-    from cryptography import x509
-
-    begin = b"-----BEGIN X509 CRL-----"
-    found: set[Serial] = set()
-    for block in pem.split(begin)[1:]:
-        listed = x509.load_pem_x509_crl(begin + block)
-        found.update((listed.issuer.rfc4514_string(), one.serial_number) for one in listed)
-    return frozenset(found)
 
 
 class Certificates:
@@ -125,12 +56,12 @@ class Certificates:
         self._rules = [_Rule(config) for config in configs]
         self.known: dict[str, Certificate] = {} if before is None else before.known
         self.revoked: frozenset[Serial] = frozenset() if before is None else before.revoked
-        """Those that are not good any more."""
+        """The revoked certificates."""
 
     def find(self, certificate: Certificate) -> Principal | None:
         """Return the principal of a certificate; None if no table names it.
 
-        :raises TokenExpired: its time is over, though its connection is still open.
+        :raises TokenExpired: it has expired, although its connection is still open.
         :raises Unauthenticated: it was revoked.
         """
         if certificate.expires <= self._clock.now():

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 __all__ = ["Conditions", "Placed"]
 
 RATE = 5.0
-"""Hz at which the resources are watched that conditions name."""
+"""Hz at which the resources in conditions are watched."""
 
 _FLOATS = {float, bool}
 
@@ -38,7 +38,7 @@ class Placed(Protocol):
 
     @property
     def tenant(self) -> str | None:
-        """Whose it is."""
+        """Its tenant."""
         ...
 
     @property
@@ -47,39 +47,26 @@ class Placed(Protocol):
         ...
 
 
-class Demand(Protocol):
-    """Which resources are published now."""
-
-    def holds(self, entry: Entry) -> bool:
-        """Tell whether the source of an entry is kept running."""
-        ...
-
-
-class Sources(Protocol):
-    """The publishers of the resources used in conditions."""
-
-    @property
-    def registry(self) -> Registry:
-        """The tree."""
-        ...
-
-    @property
-    def demand(self) -> Demand:
-        """Published resources."""
-        ...
-
-    def sustain(self, entry: Entry, rate: float) -> None:
-        """Keep an entry published at `rate` Hz or more; 0.0 ends it."""
-        ...
-
-
 class Conditions:
     """Evaluates conditions from the registry's latest samples, and keeps those coming."""
 
-    def __init__(self, hub: Sources, clock: Clock) -> None:
-        self._hub = hub
-        self._registry: Registry = hub.registry
+    def __init__(
+        self,
+        registry: Registry,
+        clock: Clock,
+        *,
+        sustain: Callable[[Entry, float], None],
+        is_published: Callable[[Entry], bool],
+    ) -> None:
+        """Read values from the registry.
+
+        `sustain` keeps an entry published at a rate in Hz; 0.0 ends it. `is_published` tells whether
+        the source of an entry is kept running.
+        """
+        self._registry = registry
         self._now = clock.now
+        self._sustain = sustain
+        self._is_published = is_published
         self._used: dict[str, frozenset[str]] = {}
         self._names: Counter[str] = Counter()
         """Names of resources, each with how many parts need it."""
@@ -106,10 +93,10 @@ class Conditions:
                     self._added(entry)
 
     def _added(self, entry: Entry) -> None:
-        self._hub.sustain(entry, RATE if entry.name in self._names and not entry.live else 0.0)
+        self._sustain(entry, RATE if entry.name in self._names and not entry.live else 0.0)
 
     def holds(self, condition: Condition, placed: Placed) -> bool | None:
-        """Tell whether a condition holds for a robot; None: it cannot be known."""
+        """Return whether a condition holds for a robot; None: unknown."""
         values = self.values(condition.refs, placed)
         if condition.times:
             moment = datetime.fromtimestamp(self._now() / 1e9).astimezone()
@@ -146,7 +133,7 @@ class Conditions:
 
     def _known(self, entry: Entry) -> bool:
         return not entry.stale and (
-            entry.live or entry.kind == "actuator" or self._hub.demand.holds(entry)
+            entry.live or entry.kind == "actuator" or self._is_published(entry)
         )
 
     @staticmethod
@@ -181,7 +168,7 @@ def _finite(value: Any) -> bool:
         return math.isfinite(value)
     if isinstance(value, list):
         kinds = set(map(type, value))  # pyright: ignore[reportUnknownArgumentType]
-        if kinds <= _FLOATS:  # a long one is most often such
+        if kinds <= _FLOATS:  # most long lists are such
             return all(map(math.isfinite, value))  # pyright: ignore[reportUnknownArgumentType]
         return all(map(_finite, value))  # pyright: ignore[reportUnknownArgumentType]
     if is_map(value):

@@ -48,13 +48,13 @@ _T = TypeVar("_T")
 
 
 def store_file(config: GatewayConfig) -> Path | None:
-    """Return where a configuration keeps what survives."""
+    """Return the path of the store; None without one."""
     given = config.store.path
     return None if given is None else Path(os.path.expanduser(given))  # noqa: PTH111 - no I/O
 
 
 def check_proofs(config: GatewayConfig, source: str) -> None:
-    """Find the faults of what proves identities that only show when it is read.
+    """Find the faults of certificates that only show when they are read.
 
     :raises ConfigError: there is one.
     """
@@ -65,7 +65,7 @@ def check_proofs(config: GatewayConfig, source: str) -> None:
 
 
 class Identities:
-    """Everything by which a gateway knows its clients. For the event loop's thread."""
+    """Authenticates clients. For the event loop's thread."""
 
     def __init__(
         self,
@@ -78,14 +78,14 @@ class Identities:
         self._loop = loop
         self._authenticators: dict[str, Authenticator] = {}
         self.on_change: list[Callable[[], None]] = []
-        """Called when proofs may be worth something else than before."""
+        """Called when the rights or validity of principals may have changed."""
         config = settings.config
         self._certificates = Certificates(config.certificates, clock)
         self._keyring = _keyring(config)
         self._anonymous = _anonymous(config)
         self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
         self._others = AuthThrottle(config.limits.failed_logins, self._loop.time)
-        """Attempts that ask somebody else: wrong keys of one address keep nobody from those."""
+        """Attempts with a third party, which wrong keys from the same address do not block."""
 
     def set_authenticators(self, authenticators: Iterable[Authenticator]) -> None:
         """Set the authenticators, called by name after the gateway's own keys.
@@ -123,7 +123,7 @@ class Identities:
 
     @property
     def issuers(self) -> list[TokenIssuer]:
-        """Who gives out tokens that this gateway takes."""
+        """The issuers of the tokens that this gateway accepts."""
         return [issuer for one in self._authenticators.values() for issuer in one.issuers]
 
     @property
@@ -134,7 +134,7 @@ class Identities:
     # -- who -----------------------------------------------------------------------------------
 
     def anonymous(self) -> Principal:
-        """Return the principal of those who prove nothing.
+        """Return the principal of clients that prove nothing.
 
         :raises Unauthenticated: the configuration gives them no role.
         """
@@ -184,17 +184,37 @@ class Identities:
         authenticator = self._authenticators.get(principal.proof.partition(" ")[0])
         return None if authenticator is None else authenticator.renewed(principal)
 
-    def known(self, token: str | None, peer: Peer = UNKNOWN) -> Principal | None:
+    def known(
+        self, token: str | None, peer: Peer = UNKNOWN, *, fetched: bool = False
+    ) -> Principal | None:
         """Return the principal of a token, else of the peer's certificate, else anonymous.
 
-        None means that a fetch is required. A token never falls back on the certificate, and must
-        not contradict it.
+        None means that a fetch is required, unless it is already `fetched`. A token never falls back
+        on the certificate, and must not contradict it.
 
         :raises Unauthenticated: the token is unknown, or the certificate is another principal's.
         :raises TokenExpired: the token has expired.
         :raises RateLimited: the peer has sent too many invalid tokens.
         """
-        return self._look(token, peer)
+        certified = None
+        if peer.certificate is not None:
+            certified = self._certificates.find(peer.certificate)
+        if token is None:
+            return certified or self.anonymous()
+        digest = fingerprint(token)
+        try:
+            # By the hash alone, at no cost: a valid token is never delayed by those who guess.
+            principal = self._proved(digest) or self._verified(token, digest, peer, fetched=fetched)
+            if principal is None:
+                return None
+            _agree(certified, check_time(principal, self._clock.now()))
+        except TokenExpired:  # it was valid once, so it was not guessed
+            raise
+        except Unauthenticated:
+            self._attempts.failed(peer.address, digest)
+            raise
+        self._attempts.succeeded(digest)
+        return principal
 
     async def wait(self, token: str, peer: Peer = UNKNOWN) -> Principal:
         """Return the principal of a token for which `known` requires a fetch.
@@ -205,13 +225,13 @@ class Identities:
         authenticator = self._authenticator_of(token)
         if authenticator is not None:
             await self._fetch(authenticator, token)
-        found = self._look(token, peer, fetched=True)
+        found = self.known(token, peer, fetched=True)
         assert found is not None
         return found
 
     @contextmanager
     def attempt(self, peer: Peer) -> Generator[None]:
-        """Let a peer try to prove itself in a way that asks somebody else.
+        """Let a peer try to authenticate with a third party.
 
         It counts as failed while it lasts, so that many at once get no further than one by one,
         and for good if it ends with `Unauthenticated`.
@@ -236,27 +256,6 @@ class Identities:
             self._others.forgive(peer.address)
             raise
         self._others.forgive(peer.address)
-
-    def _look(self, token: str | None, peer: Peer, *, fetched: bool = False) -> Principal | None:
-        certified = None
-        if peer.certificate is not None:
-            certified = self._certificates.find(peer.certificate)
-        if token is None:
-            return certified or self.anonymous()
-        digest = fingerprint(token)
-        try:
-            # By the hash alone, at no cost: a right one is never held up by those who guess.
-            principal = self._proved(digest) or self._verified(token, digest, peer, fetched=fetched)
-            if principal is None:
-                return None
-            _agree(certified, check_time(principal, self._clock.now()))
-        except TokenExpired:  # it was valid once, so it was not guessed
-            raise
-        except Unauthenticated:
-            self._attempts.failed(peer.address, digest)
-            raise
-        self._attempts.succeeded(digest)
-        return principal
 
     def _proved(self, digest: str) -> Principal | None:
         found = self._keyring.proves(digest)
@@ -292,7 +291,7 @@ class Identities:
         try:
             await authenticator.fetch(token, fingerprint(token))
         except RcpError:
-            pass  # `verify` says it
+            pass  # `verify` reports it
         except Exception as error:
             _log_failure(error)
 

@@ -24,7 +24,7 @@ __all__ = ["Hidden", "Sight", "Sights"]
 
 _STEP = 128  # paths that are judged at once: a millisecond
 _NAMES = 1000  # hidden resources of a backend whose names are stored
-_LONG = 1000  # notes, beyond as many as there are resources, that are kept of a tenant
+_LONG = 1000  # changes kept of a tenant, beyond its number of resources
 _ALL = Pattern("/**")
 
 
@@ -61,9 +61,8 @@ class _Changes:
     def withdrawn(self, path: str) -> None:
         gone = self._present.get(path)
         if gone is not None:
-            self._append(
-                gone._replace(difference=-1)
-            )  # which may start again with the current tree
+            # First: it may start again with the current tree.
+            self._append(gone._replace(difference=-1))
             del self._present[path]
 
     def _append(self, change: _Change) -> None:
@@ -81,7 +80,7 @@ class Hidden:
     def __init__(self) -> None:
         self.count = 0
         self.names: set[str] = set()
-        """The backend's own names of them, or of a thousand of them."""
+        """Their names at the backend, of at most a thousand."""
 
     def change(self, change: _Change) -> None:
         """Count a change of a hidden path."""
@@ -92,7 +91,7 @@ class Hidden:
             self.names.add(change.name)
 
     def named_in(self, text: str) -> bool:
-        """Tell whether a text may name one of them."""
+        """Return whether a text may name one of them."""
         return self.count > len(self.names) or any(name in text for name in self.names)
 
 
@@ -102,7 +101,7 @@ class _Part:
     __slots__ = ("_base", "_first", "_place", "hidden", "visible")
 
     def __init__(self, changes: _Changes, *, known: bool) -> None:
-        """Begin with what there is; `known`: none of it is news."""
+        """Start with the current tree; `known`: none of it counts as a change."""
         self.visible = 0
         self.hidden: dict[str, Hidden] = {}
         """By name of the backend."""
@@ -182,11 +181,11 @@ class Sight:
         return (None if part is None else part.hidden.get(backend)) or Hidden()
 
     def mentions_hidden(self, tenant: str | None, backend: str, text: str) -> bool:
-        """Tell whether a text may name what of a tenant's backend is hidden."""
+        """Return whether a text may name something hidden of a tenant's backend."""
         return not self.current or self.hidden_of(tenant, backend).named_in(text)
 
     def whole(self, tenant: str | None) -> bool:
-        """Tell whether nothing of a tenant (None: of any) is hidden."""
+        """Return whether nothing of a tenant (None: of any) is hidden."""
         meant = (
             found
             for place, part in self.parts.items()

@@ -16,7 +16,7 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.sights import Sights
-from rcp_kernel.contract.touches import EVERYTHING, MOST_TOUCHES
+from rcp_kernel.contract.paths import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
 from rcp_kernel.values import Encoding, dump
 
@@ -31,7 +31,7 @@ _PATHS = re.compile(r"/tenant/[\w.-]+(?:/[\w.-]+)*", re.ASCII)
 _SHORT = re.compile(rf"(?:{'|'.join(_KINDS)})(?:[./][\w-]+)+", re.ASCII)
 _encode = msgspec.json.encode
 _LONGEST = 65_536  # bytes that are searched, which takes 2 ms
-_STRANGE = 32  # names that mean nothing there is, and so are weighed by the rules one by one
+_STRANGE = 32  # unknown names, which are checked against the rules one by one
 _RESOURCE = 4  # minimum number of slashes in the path of a resource; shorter paths are scopes
 _ROBOT = 3  # slashes of the key of a robot
 
@@ -123,7 +123,7 @@ class Visibility:
         return False
 
     def hides_path(self, rights: Rights, path: str) -> bool:
-        """Tell whether a full path is hidden: of a resource, of none, or of a part of the tree."""
+        """Return whether a full path is hidden: of a resource, of none, or of a part of the tree."""
         tenant = tenant_of(path)
         if tenant is None:
             return False

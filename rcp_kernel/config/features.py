@@ -23,7 +23,7 @@ BUILTIN: tuple[str, ...] = (
     "quotas",
     "tokens",
 )
-"""Active unless `[features] <name> = false` takes one out."""
+"""The built-in features, active unless set to false in `[features]`."""
 
 
 def active_features(tables: dict[str, bool | dict[str, Any]]) -> dict[str, dict[str, Any] | None]:

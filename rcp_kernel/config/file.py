@@ -26,8 +26,7 @@ from rcp_kernel.config.identity import (
     check_identity,
 )
 from rcp_kernel.config.limits import Limits
-from rcp_kernel.config.role import BUILTIN_ROLES, Role
-from rcp_kernel.config.roles import check_roles
+from rcp_kernel.config.role import BUILTIN_ROLES, Role, check_roles
 from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
@@ -157,7 +156,7 @@ class GatewayConfig(Table, frozen=True):
 
     @property
     def closed(self) -> bool:
-        """Whether strangers may do nothing: they have no role, or only such that allow nothing."""
+        """Whether anonymous clients may do nothing: they have no role, or only roles that allow nothing."""
         return not self._allows(self.anonymous)
 
     @property
@@ -245,11 +244,11 @@ def _read(text: str, source: str, literal: Callable[[str], str]) -> dict[str, An
 
 
 TRANSPORTS = ("http", "ws", "sse", "asgi")
-"""Served unless `[transports] <name> = false` takes one out."""
+"""The built-in transports, active unless set to false in `[transports]`."""
 
 
 def _default_transports(raw: dict[str, Any]) -> None:
-    """Serve every transport of the house unless `[transports] <name> = false` takes it out."""
+    """Add the built-in transports, except those set to false in `[transports]`."""
     tables = raw.setdefault("transports", {})
     if is_map(tables):
         for name in TRANSPORTS:
@@ -275,7 +274,7 @@ def _plain(text: str) -> str:
 
 
 def _with_secrets(node: Any, source: str, where: str, literal: Callable[[str], str]) -> Any:
-    """Replace the variables in all strings; `literal` makes those that have none."""
+    """Replace the variables in all strings; `literal` converts strings without any."""
     if is_map(node):
         return {
             k: _with_secrets(v, source, f"{where}.{k}" if where else k, literal)

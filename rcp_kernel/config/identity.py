@@ -27,7 +27,7 @@ __all__ = [
 
 
 class Granting(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of what gives roles: one `role` in some `tenants`, or `roles` tenant by tenant."""
+    """Base of tables that grant roles: one `role` in some `tenants`, or `roles` by tenant."""
 
     role: str | tuple[str, ...] | None = None
     tenants: tuple[str, ...] = ("*",)
@@ -77,7 +77,7 @@ class Anonymous(Granting, frozen=True):
 def instant(text: str) -> int:
     """Return the ns since the UNIX epoch of a day or time of ISO 8601; UTC unless it says otherwise.
 
-    :raises ValueError: it is none.
+    :raises ValueError: it is neither.
     """
     try:
         found = datetime.fromisoformat(text)

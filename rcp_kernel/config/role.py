@@ -1,4 +1,4 @@
-"""Roles: named sets of rules, those of the configuration and those that need none."""
+"""`[roles.<name>]` and the built-in roles: named sets of rules, and their validation."""
 
 from __future__ import annotations
 
@@ -7,10 +7,22 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
+from rcp_conditions import ConditionTooCostly, condition
 from rcp_kernel.contract.paths import ESTOP
-from rcp_kernel.model import Operation
+from rcp_kernel.errors import ConfigError, InvalidPath
+from rcp_kernel.model import Operation, Pattern
 
-__all__ = ["ASK", "BUILTIN_ROLES", "DECIDE", "HUB", "OPERATIONS", "Role", "Rule"]
+__all__ = [
+    "ASK",
+    "BUILTIN_ROLES",
+    "DECIDE",
+    "HUB",
+    "OPERATIONS",
+    "Role",
+    "Rule",
+    "check_pattern",
+    "check_roles",
+]
 
 OperationName = Literal["discover", "read", "write", "execute", "subscribe", "*"]
 OPERATIONS = (
@@ -29,7 +41,7 @@ class Rule(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def mask(self) -> Operation:
-        """The operations as bits; whatever may be done may be discovered too."""
+        """The operations as bits."""
         bits = Operation.NONE
         for name in self.operations:
             bits |= OPERATIONS if name == "*" else Operation[name.upper()]
@@ -65,7 +77,7 @@ _OWN = Rule(_LOOK, ("/system/commands", "/system/sessions"))
 ASK = Rule(_LOOK, ("/system/approvals",))
 DECIDE = Rule((*_LOOK, "execute"), ("/system/approvals",))
 HUB = "hub"
-"""The role of a hub of a fleet for what it does for itself: it looks, and can stop."""
+"""The role of a fleet's hub for its own requests: it views, and can stop."""
 BUILTIN_ROLES: dict[str, Role] = {
     "viewer": Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _STOP)),
     HUB: Role(allow=(Rule(_LOOK, ("/**",)), _HEALTH, _STOP)),
@@ -75,5 +87,55 @@ BUILTIN_ROLES: dict[str, Role] = {
         allow=(Rule(("*",), ("/**", "/system/**")),), reset=True, priority=60, may_approve=True
     ),
 }
-"""Roles that need no configuration: look (as a person, or as a hub), operate, operate as a program that gives way to people,
-and all of it with the gateway's own branch. Features add their own rules: `FeatureKind.grants`."""
+"""The built-in roles: view (a person, or a hub), operate, operate as a program that gives way to
+people, and administer the gateway. Features add their own rules: `FeatureKind.grants`."""
+
+
+def check_roles(roles: dict[str, Role], source: str) -> None:
+    """Refuse rules with invalid paths, and invalid conditions.
+
+    :raises ConfigError: with the file, the role and the rule.
+    """
+    for name, role in roles.items():
+        for kind, rules in (("allow", role.allow), ("deny", role.deny)):
+            for place, rule in enumerate(rules):
+                _check(rule, f"{source}: [roles.{name}] {kind}[{place}]", deny=kind == "deny")
+        for path in role.approve:
+            where = f"{source}: [roles.{name}] approve"
+            check_pattern(path, where)
+            if path.startswith("/system/"):
+                raise ConfigError(
+                    f"{where} names {path}: operations of the gateway itself need no approval; "
+                    "name paths of robots (a plan is approved for its steps on those paths)"
+                )
+
+
+def _check(rule: Rule, where: str, *, deny: bool) -> None:
+    for path in rule.paths:
+        check_pattern(path, where)
+    if rule.when is None:
+        return
+    try:
+        condition(rule.when)
+    except ConditionTooCostly as error:
+        raise ConfigError(f"{where} when: {error}. {error.remedy}") from None
+    except ConfigError as error:
+        raise ConfigError(f"{where} when: {error}") from None
+    if deny and "discover" in rule.operations:
+        raise ConfigError(
+            f"{where} denies `discover` with a `when`: visibility must not change with the "
+            "state; remove `when`, or deny other operations (`*` is all except discover)"
+        )
+
+
+def check_pattern(path: str, where: str) -> None:
+    """Check a pattern.
+
+    :raises ConfigError: it is not valid.
+    """
+    try:
+        if not path.startswith("/"):
+            raise InvalidPath(f"{path!r} does not begin with '/'")
+        Pattern(path)
+    except InvalidPath as error:
+        raise ConfigError(f"{where} has a rule with an invalid path: {error.message}") from None

@@ -16,6 +16,6 @@ class Settings:
         self.replace(config)
 
     def replace(self, config: GatewayConfig) -> None:
-        """Put another configuration into force."""
+        """Apply another configuration."""
         self.config = config
         self.limits = config.limits

@@ -1,6 +1,6 @@
-"""Who asked for what runs now: a context variable, as the permit of the fence.
+"""The principal and request behind the current operation: a context variable.
 
-Setting it stores a tuple; only a backend that asks pays for the record made from it.
+Setting it stores a tuple; the record is made from it only for a backend that calls `caller`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["Caller", "asked", "caller"]
 
 
 class Caller(msgspec.Struct, frozen=True):
-    """Who asked for an operation, and what the request says of it."""
+    """The sender of the request behind an operation, and what the request says about it."""
 
     principal: Principal
     """As it was when the operation began; its roles in the tenant are in `grants`."""
@@ -31,7 +31,7 @@ class Caller(msgspec.Struct, frozen=True):
     valid_for: float | None = None
     """Seconds for which a written value is to be valid, if the client said so."""
     trace: Trace | None = None
-    """Where in a trace the operation is, for what is done for it elsewhere."""
+    """The operation's place in a distributed trace, to be passed on."""
 
     @property
     def key(self) -> str | None:
@@ -42,14 +42,14 @@ class Caller(msgspec.Struct, frozen=True):
 asked: ContextVar[tuple[Principal, Request, int, str | None] | None] = ContextVar(
     "rcp_asked", default=None
 )
-"""Principal, request, slot of the deadline and command of what runs now; set by the kernel."""
+"""Principal, request, slot of the deadline and command of the current operation; set by the kernel."""
 
 
 def caller() -> Caller | None:
-    """Return who asked for the operation that the backend is carrying out.
+    """Return the sender of the request that the backend is carrying out.
 
-    None: nobody did, as for the stops and dead-man of the gateway, and for `watch`, which is for all
-    subscribers. Valid until the operation ends, also while it is cancelled.
+    None for the stops and dead-man of the gateway, and for `watch`, which serves all subscribers. Valid
+    until the operation ends, also while it is cancelled.
     """
     current = asked.get()
     if current is None:

@@ -1,4 +1,4 @@
-"""Values of any length in a few bytes: as JSON, or if long by their length and hash."""
+"""Values of any length in a few bytes: as JSON, or if they are long, their length and hash."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ LONGEST = 4096
 
 
 def bounded(value: Any) -> Any:
-    """Return a value as JSON, or if long its length and hash."""
-    if isinstance(value, msgspec.Raw):  # it is already
+    """Return a value as JSON, or its length and hash if it is long."""
+    if isinstance(value, msgspec.Raw):  # it is JSON already
         return value
     if type(value) is float and math.isfinite(value):
         return msgspec.Raw(_encode(value))
@@ -32,7 +32,7 @@ def bounded(value: Any) -> Any:
             if isinstance(value, Body)
             else ANY.encode(value, Encoding.JSON)
         )
-    except Exception:  # whatever cannot be written must not keep the rest out of the record
+    except Exception:  # the rest of the record must be written regardless
         return {"unwritable": type(value).__name__}
     return msgspec.Raw(data) if len(data) <= LONGEST else hashed(data)
 

@@ -14,7 +14,7 @@ __all__ = ["Acting", "Event", "EventBus", "EventListener", "Hear"]
 
 
 class Acting(Protocol):
-    """The session that something was done in."""
+    """The session in which something was done."""
 
     @property
     def id(self) -> str:
@@ -37,7 +37,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
     what: str
     principal: Principal | None
-    """Who did it; None for the gateway itself, and for those who proved nothing."""
+    """Who did it; None for the gateway itself, and for unauthenticated clients."""
     session: Acting | None = None
     request: Request | None = None
     """The envelope that caused it."""
@@ -55,15 +55,15 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, gc=False):
 
 
 Hear = Callable[[Event], bool | None]
-"""Takes an event, at once; returns whether replies about it should wait (`Durability`)."""
+"""Receives an event, without blocking; returns whether replies about it should wait (`Durability`)."""
 
 
 class EventListener(Protocol):
-    """A feature that hears all events."""
+    """A feature that receives all events."""
 
     on_event: Hear
     failing: bool
-    """Whether it could not even take the event that another one is missing."""
+    """Whether it did not even accept the event that reports a gap."""
 
     def missed_event(self, event: Event, error: Exception, /) -> None:
         """Handle an event at which the feature failed."""
@@ -90,7 +90,7 @@ class EventBus:
         outcome: str = "ok",
         **facts: Any,
     ) -> bool:
-        """Tell that something happened; return whether replies about it should wait."""
+        """Report that something happened; return whether replies about it should wait."""
         if not self.listeners:
             return False
         return self.tell(
@@ -109,7 +109,7 @@ class EventBus:
         )
 
     def tell(self, event: Event) -> bool:
-        """Tell of an event; return whether replies about it should wait."""
+        """Report an event; return whether replies about it should wait."""
         wait = False
         for listener in self.listeners:  # every listener gets the event
             try:

@@ -61,19 +61,19 @@ class permitted:  # noqa: N801 - used as a function is
 
 
 def permit(unit: Fenced, stops: int) -> None:
-    """Put the rest of the current task under such a permit."""
+    """Run the rest of the current task under such a permit."""
     _permit.set((unit, stops))
 
 
 def end_permit() -> None:
-    """Run the rest of the current task without one, for nobody: its robot has answered."""
+    """Run the rest of the current task without a permit and caller: its robot has answered."""
     _permit.set(None)
     asked.set(None)
 
 
 @contextmanager
 def unfenced() -> Generator[None]:
-    """Run the body without a permit, for nobody: a stop, or work that outlives its request."""
+    """Run the body without a permit and caller: a stop, or work that outlives its request."""
     token, caller = _permit.set(None), asked.set(None)
     try:
         yield
@@ -83,13 +83,13 @@ def unfenced() -> Generator[None]:
 
 
 def fenced_off() -> bool:
-    """Tell whether the robot was stopped since what runs now was admitted."""
+    """Return whether the robot was stopped after the current operation was admitted."""
     permit = _permit.get()
     return permit is not None and permit[0].stops != permit[1]
 
 
 def is_commanded() -> bool:
-    """Tell whether what runs now was requested, and is not a stop of the gateway's own."""
+    """Return whether a client requested the current operation: it is no stop of the gateway's own."""
     return _permit.get() is not None
 
 

@@ -31,7 +31,7 @@ Grants = tuple[tuple[str, tuple[str, ...]], ...]
 
 
 def granted(tenants: Iterable[str], roles: Iterable[str]) -> Grants:
-    """Give the same roles in several tenants."""
+    """Grant the same roles in several tenants."""
     held = tuple(roles)
     return tuple((tenant, held) for tenant in tenants)
 
@@ -48,11 +48,11 @@ class Principal(msgspec.Struct, frozen=True, cache_hash=True):
     credential: str | None = None
     """Hash of the credential; never shown to clients."""
     expires: int | None = None
-    """When the proof is not good any more, ns since the UNIX epoch; None: it stays good."""
+    """When the credential expires, ns since the UNIX epoch; None: never."""
     via: str | None = None
-    """The hub that asserted it, for records; the same person may come by way of several."""
+    """The hub that asserted it, for records; the same person may come through several hubs."""
     login: str | None = None
-    """The id of the login that stands for the credential, and that may end before it."""
+    """The id of the login that represents the credential, and that may end before it."""
 
     @property
     def tenants(self) -> tuple[str, ...]:
@@ -99,12 +99,12 @@ class Keyring:
 
 
 def same(one: Principal, other: Principal) -> bool:
-    """Tell whether two proofs are of one person: names count only within what vouches for them."""
+    """Return whether two principals are one person: the same name, assigned by the same authority."""
     return one.name == other.name and _voucher(one) == _voucher(other)
 
 
 def same_rights(one: Principal, other: Principal) -> bool:
-    """Tell whether two proofs are of one person with the same roles: a name may be given again in another tenant."""
+    """Return whether two principals are the same person with the same roles."""
     return same(one, other) and one.grants == other.grants
 
 

@@ -28,7 +28,7 @@ class Certificate(msgspec.Struct, frozen=True):
 
 
 class Peer(msgspec.Struct, frozen=True):
-    """Who is at the other end."""
+    """The client at the other end."""
 
     address: str | None = None
     """IP address of the client, or of the proxy in between."""
@@ -36,4 +36,4 @@ class Peer(msgspec.Struct, frozen=True):
 
 
 UNKNOWN = Peer()
-"""Of a transport that has none, such as memory."""
+"""The peer of a transport that has none, such as one in memory."""

@@ -8,7 +8,7 @@ __all__ = ["Shutdown"]
 
 
 class Shutdown:
-    """Begins once, and never ends."""
+    """The shutdown of the gateway: begins once, and never ends."""
 
     __slots__ = ("begun",)
 

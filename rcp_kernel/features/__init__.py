@@ -5,7 +5,6 @@ from __future__ import annotations
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.feature import Durability, Feature, FeatureKind, StatusPart
-from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import Filter, Pages, Service, SystemResource, View
@@ -28,7 +27,6 @@ __all__ = [
     "FeatureHost",
     "FeatureKind",
     "Filter",
-    "FrameConverter",
     "Guard",
     "Pages",
     "RobotConditions",

@@ -24,7 +24,7 @@ class About(NamedTuple):
     paths: tuple[str, ...]
     """Paths that require it."""
     seen: tuple[str, ...]
-    """Paths that must be visible to whoever decides."""
+    """Paths that the person who decides must be allowed to see."""
     steps: tuple[str, ...] = ()
     """For a plan: the steps that require it."""
 
@@ -67,7 +67,7 @@ class ApprovalService(Protocol):
         ...
 
     def follow(self, id_: str, decided: Callable[[], None]) -> Callable[[], None]:
-        """Call `decided` once somebody has decided on an approval; return a function to stop."""
+        """Call `decided` when an approval is decided; return a function to stop."""
         ...
 
 

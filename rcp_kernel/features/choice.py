@@ -1,4 +1,4 @@
-"""Requests of features that do one of several things."""
+"""Requests that select one of several operations by the field that they set."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ __all__ = ["chosen"]
 
 
 def chosen(request: msgspec.Struct, path: str) -> str:
-    """Return the name of the one field that a request gives.
+    """Return the name of the one field that a request sets.
 
-    :raises BadRequest: it gives none, or several.
+    :raises BadRequest: it sets none, or several.
     """
     names = request.__struct_fields__
     given = [name for name in names if getattr(request, name) is not None]

@@ -16,14 +16,14 @@ Phase = Literal["restarting", "probation", "confirmed", "rolled_back"]
 
 
 class FileState(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The file, and what became of the last one that was proposed; nothing of its content."""
+    """The file and the outcome of the last proposal, without any content."""
 
     digest: str
     """SHA-256 of the file; empty for a gateway without one."""
     phase: Phase | None = None
     """Of the last proposal; None if there was none."""
     proposed: str | None = None
-    """Digest of the last proposal, also after it was taken back."""
+    """Digest of the last proposal, also after it was rolled back."""
     by: str | None = None
     """Who proposed it."""
     via: str | None = None
@@ -71,4 +71,4 @@ class ServedConfiguration(Protocol):
 SERVED_CONFIGURATION: ServiceKey[Callable[[ServedConfiguration], None]] = ServiceKey(
     "configuration.served"
 )
-"""Takes the file of the gateway, once it runs; without a file, it is not called."""
+"""Called with the gateway's file once it runs; not called without a file."""

@@ -20,7 +20,6 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.events import Hear
 from rcp_kernel.features.commands import CommandObserver
-from rcp_kernel.features.frames import FrameConverter
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
 from rcp_kernel.features.resource import SystemResource
@@ -93,8 +92,6 @@ class Feature:
     long before the step is run."""
     describe: Describe | None = None
     """Returns additions to the description of a resource, for a principal that may command it."""
-    frames: FrameConverter | None = None
-    """Converts values to the frames that clients name, and goals from them; one feature at most."""
     status: Callable[[Rights | None], StatusPart] | None = None
     """Returns a part of `/system/status` for a principal, or for everyone (None)."""
     authenticator: Authenticator | None = None
@@ -112,7 +109,7 @@ class Feature:
     """Counts sessions with their requests, subscriptions and commands, and may refuse more of
     them."""
     reader_status: Callable[[Session], Mapping[str, Any]] | None = None
-    """Returns what `/system/status` tells a reader about itself, by the feature's own names."""
+    """Returns items of `/system/status` about its reader, by the feature's own names."""
     metrics: Callable[[], Iterable[Metric]] | None = None
     """Returns metric families for `/metrics`, at each scrape."""
     services: Mapping[ServiceKey[Any], Any] = field(default_factory=dict[ServiceKey[Any], Any])

@@ -40,7 +40,7 @@ class Service(Protocol):
         """Run the service, or for a dry run only check whether it could run.
 
         Return the result, or a coroutine that returns it: the reply is then sent when it is done. It
-        is cancelled at the request's deadline, and `caller()` tells in it who asked.
+        is cancelled at the request's deadline; `caller()` in it returns who sent the request.
         """
         ...
 
@@ -65,12 +65,11 @@ class SystemResource:
     execute: Service | None = None
     """Handles `execute`; must not block, and may return a coroutine."""
     action: Action | None = None
-    """Handles `execute` as a command that may take time. The value of the resource is the list
-    of its
+    """Handles `execute` as a command that may take time. The value of the resource is the list of its
     commands, filtered for each reader."""
 
     releases: Releases | None = None
-    """Tells which `execute` only gives something up: it is never counted or refused by limits."""
+    """Returns whether an `execute` only releases something: it is never counted or refused by limits."""
 
     @property
     def path(self) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
-__all__ = ["FeatureServices", "ServiceKey", "ServiceLookup"]
+__all__ = ["FeatureServices", "ServiceKey"]
 
 T = TypeVar("T")
 
@@ -21,24 +22,16 @@ class ServiceKey(Generic[T]):
     name: str
 
 
-class ServiceLookup(Protocol):
-    """Finds the services of features."""
-
-    def service(self, key: ServiceKey[T]) -> T | None:
-        """Return the service of a key; None if no feature provides it."""
-        ...
-
-
 class FeatureServices:
-    """The services of features, for features: there are none until all features have been made."""
+    """The services of all features: empty until every feature has been created."""
 
     def __init__(self) -> None:
-        self._found: ServiceLookup | None = None
+        self._found: dict[ServiceKey[Any], Any] = {}
 
-    def set_lookup(self, found: ServiceLookup) -> None:
-        """Set the features that have been made."""
-        self._found = found
+    def add(self, services: Mapping[ServiceKey[Any], Any]) -> None:
+        """Add the services of one feature; the first one with a key stays."""
+        self._found = {**services, **self._found}
 
     def service(self, key: ServiceKey[T]) -> T | None:
         """Return the service of a key; None if no feature provides it."""
-        return None if self._found is None else self._found.service(key)
+        return self._found.get(key)

@@ -22,11 +22,11 @@ from rcp_kernel.tree.entry import Entry, Owner
 __all__ = ["Control"]
 
 Within = Callable[[str], bool]
-"""Tells whether a full path is meant."""
+"""Returns whether a full path is concerned."""
 
 
 class Control:
-    """Takes commands and motion from those who have lost control of them."""
+    """Ends or hands over the commands of holders that have lost control."""
 
     def __init__(self, commands: CommandTable, deadman: Deadman) -> None:
         self._commands = commands
@@ -48,7 +48,7 @@ class Control:
                 heir.commands[command.id] = command
 
     def running(self, path: str | None = None) -> Iterator[Command]:
-        """Go through the commands that run, on one path or on all."""
+        """Iterate over the commands that run, on one path or on all."""
         for command in list(self._commands.running.values()):
             if command.task is not None and (path is None or command.path == path):
                 yield command

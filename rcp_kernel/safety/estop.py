@@ -9,27 +9,25 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Coroutine, Iterable, Mapping, Sequence
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import msgspec
 import structlog
 from msgspec import Meta
 
-from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.access.scope_rights import ScopeRights
 from rcp_kernel.clock import Clock, iso
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.paths import ESTOP
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout, Forbidden, UnknownPath
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, Forbidden
 from rcp_kernel.safety.ending import end_commands
+from rcp_kernel.safety.estop_scopes import EstopScopes, latch_keys
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import Stop, StopController, merged
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Owner, StopGroup
 from rcp_kernel.tree.latches import GATEWAY, Latch, Latches, tenant_key
-from rcp_kernel.tree.scope import Scope
 from rcp_kernel.types import Time
 from rcp_kernel.wire import Request
 
@@ -38,12 +36,10 @@ __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
 log = structlog.get_logger("rcp.safety")
 HALT_WAIT = 5.0  # s an e-stop waits for robots to come to rest; it keeps trying after that
 LONGEST_WAIT = 60.0  # s, where the request's `deadline` allows as much
-_Robots = dict[StopGroup, None]
-"""A set in the order of the configuration."""
 
 
 class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Stop, or with `reset` allow commands again; nothing moves until a new one."""
+    """Stop, or with `reset` allow commands again; nothing moves until there is a new one."""
 
     scope: Annotated[str, Meta(max_length=256)] | None = None
     """`/tenant/<tenant>`, a robot or sub-tree of one, a group of the configuration, the name of a
@@ -61,27 +57,17 @@ class EstopState(msgspec.Struct, frozen=True):
     far the stop has come (`state`: requested, commanded, confirmed at rest) and when; in `detail` why
     it is not confirmed; and in `alarm` whether the robot has moved again under the latch."""
     scopes: dict[str, dict[str, Any]] = {}
-    """Latches of whole tenants and of the gateway (`*`), which hold also robots that appear."""
+    """Latches of whole tenants and of the gateway (`*`), which also hold robots that appear later."""
     groups: tuple[str, ...] = ()
     """Groups of the configuration that can be named as a scope."""
     reset: Time | None = None
     """When one of the robots was last reset since the gateway was started."""
 
 
-class EstopRecorder(Protocol):
-    """The recorder of e-stops and resets."""
-
-    def __call__(
-        self,
-        session: Session,
-        request: Request,
-        body: EstopRequest,
-        keys: dict[str, str | None],
-        robots: list[StopGroup],
-        /,
-    ) -> None:
-        """Record what was latched or reset; must not block."""
-        ...
+EstopRecorder = Callable[
+    [Session, Request, EstopRequest, dict[str, str | None], list[StopGroup]], None
+]
+"""Records the keys of the latches that were set or reset, and the robots; must not block."""
 
 
 class Estop:
@@ -95,7 +81,7 @@ class Estop:
         deadman: Deadman,
         commands: CommandTable,
         *,
-        scopes: ScopeRights,
+        scopes: EstopScopes,
         identities: Identities,
         settings: Settings,
         halted: Callable[[frozenset[str], str, str], None],
@@ -121,7 +107,7 @@ class Estop:
         self._loop = loop
         self._now = clock.now
         self._due: list[tuple[list[StopGroup], str, str | None]] = []
-        """E-stops after which what ran has not been ended yet."""
+        """E-stops whose running commands have not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
 
     # -- latches -------------------------------------------------------------------------------
@@ -129,18 +115,15 @@ class Estop:
     def state(self, session: Session) -> EstopState:
         """Return the latches visible to a session."""
         own = {tenant_key(t) for t in self._identities.tenants_of(session.principal)} | {GATEWAY}
-        wide = {key: latch.plain() for key, latch in self._wide().items() if key in own}
-        visible = self._visible(session)
-        groups = tuple(
-            name for name in self._groups() if self._members(session.rights, name, visible)
-        )
-        return self._state_of(visible, wide, groups)
+        wide = {key: latch.plain() for key, latch in self._latches.wide.items() if key in own}
+        visible = self._scopes.visible(session)
+        return self._state_of(visible, wide, self._scopes.groups_of(session, visible))
 
     def everything(self) -> EstopState:
         """Return all latches."""
         units = [unit for supervisor in self._supervisors for unit in supervisor.units]
-        wide = {key: latch.plain() for key, latch in self._wide().items()}
-        return self._state_of(units, wide, tuple(self._groups()))
+        wide = {key: latch.plain() for key, latch in self._latches.wide.items()}
+        return self._state_of(units, wide, tuple(self._settings.config.safety.groups))
 
     def _state_of(
         self, units: Iterable[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
@@ -154,22 +137,6 @@ class Estop:
                 robots[unit.name] = latch.plain() | ({} if stop is None else stop.plain())
         reset = iso(released) if released else None
         return EstopState(bool(robots or wide), robots, wide, groups, reset)
-
-    def _groups(self) -> dict[str, tuple[str, ...]]:
-        return self._settings.config.safety.groups
-
-    def _wide(self) -> dict[str, Any]:
-        return self._latches.wide
-
-    def _visible(self, session: Session) -> _Robots:
-        """Find the robots that a session may see, one by one."""
-        rights, sees = session.rights, self._scopes.sees_robot
-        return {
-            unit: None
-            for supervisor in self._supervisors
-            for unit in supervisor.units
-            if sees(rights, unit)
-        }
 
     # -- stop and reset ------------------------------------------------------------------------
 
@@ -214,7 +181,7 @@ class Estop:
         self, session: Session, request: EstopRequest
     ) -> tuple[dict[str, str | None], list[StopGroup]]:
         """Return the latches and robots that a request means; refuse it as `request` does."""
-        keys, robots = self._resolve_scope(session, request.scope)
+        keys, robots = self._scopes.resolve(session, request.scope)
         if not request.reset:
             return keys, robots
         if session.unattended:
@@ -236,7 +203,7 @@ class Estop:
     def names(self, session: Session, request: EstopRequest) -> list[str]:
         """Name the robots that a request means, as far as the session sees them; refuse as it would."""
         _, robots = self.check(session, request)
-        seen = self._visible(session)
+        seen = self._scopes.visible(session)
         return sorted(robot.name for robot in robots if robot in seen)
 
     def _reset_latches(
@@ -255,100 +222,6 @@ class Estop:
             robot.release(self._now())
         self._stops.end(robot for robot in robots if robot.latch is None)
         return freed
-
-    # -- scopes --------------------------------------------------------------------------------
-
-    def _resolve_scope(
-        self, session: Session, scope: str | None
-    ) -> tuple[dict[str, str | None], list[StopGroup]]:
-        """Return the keys of the latches that a scope means, with their tenants, and the robots."""
-        tenants = self._identities.tenants_of(session.principal)
-        visible, rights = self._visible(session), session.rights
-        if scope is None and not session.rights.may_stop_all():
-            scope = self._own_tenant(session)
-        if scope is None:
-            robots = list(visible)
-            if "*" in rights.tenants and not self._hidden(visible, None):
-                keys: dict[str, str | None] = {GATEWAY: None}
-            else:
-                keys = self._widest(visible, tenants, robots)
-        elif scope in self._groups():
-            robots = self._members(rights, scope, visible)
-            keys = _keys(robots)
-        elif not scope.startswith("/"):
-            robots = [unit for unit in visible if scope in (unit.name, unit.whole.name)]
-            keys = _keys(robots)
-        else:
-            found = Scope(scope, session.tenant)
-            robots = self._in(rights, found, visible)
-            if found.whole and found.tenant in tenants:
-                keys = self._widest(visible, [found.tenant], robots)
-            else:
-                keys = _keys(robots)
-        if not keys:
-            raise UnknownPath(
-                f"no robot in the scope {scope or 'of this session'!r}",
-                remedy="/system/estop and /system/status list the robots and groups.",
-            )
-        return keys, self._with_partners(robots)
-
-    def _own_tenant(self, session: Session) -> str:
-        if session.tenant is None:
-            raise Forbidden(
-                f"{session.principal.name} may not stop robots of several tenants at once",
-                remedy="Set `scope` to a tenant (/tenant/<tenant>), a robot, or a group.",
-            )
-        return tenant_key(session.tenant)
-
-    def _members(self, rights: Rights, group: str, visible: _Robots) -> list[StopGroup]:
-        """List the robots of a group that are visible."""
-        found: _Robots = {}
-        for scope in self._groups()[group]:
-            found |= dict.fromkeys(self._in(rights, Scope(scope), visible))
-        return list(found)
-
-    def _in(self, rights: Rights, scope: Scope, visible: _Robots) -> list[StopGroup]:
-        return [unit for unit in visible if self._within(rights, unit, scope)]
-
-    def _with_partners(self, units: list[StopGroup]) -> list[StopGroup]:
-        """Add the other backends of the same robots, regardless of visibility."""
-        meant = {unit.identity for unit in units}
-        partners = (
-            unit
-            for supervisor in self._supervisors
-            for unit in supervisor.units
-            if unit.identity in meant and unit.own
-        )
-        return list(dict.fromkeys((*units, *partners)))
-
-    def _widest(
-        self, visible: _Robots, tenants: list[str], robots: list[StopGroup]
-    ) -> dict[str, str | None]:
-        """Return keys of whole tenants whose robots the session sees all, else of the robots it sees."""
-        keys: dict[str, str | None] = {}
-        for tenant in tenants:
-            if not self._hidden(visible, tenant):
-                keys[tenant_key(tenant)] = tenant
-            else:
-                keys |= _keys([unit for unit in robots if unit.tenant == tenant])
-        return keys
-
-    def _hidden(self, visible: _Robots, tenant: str | None) -> bool:
-        """Return whether there is a robot that is not visible, or none at all."""
-        units = [
-            u
-            for supervisor in self._supervisors
-            for u in supervisor.units
-            if tenant in (None, supervisor.tenant)
-        ]
-        return not units or any(unit.own and unit not in visible for unit in units)
-
-    def _within(self, rights: Rights, unit: StopGroup, scope: Scope) -> bool:
-        if unit.tenant != scope.tenant:
-            return False
-        if scope.whole or (scope.robot is not None and scope.robot == unit.robot_segment):
-            return True
-        return self._scopes.sees_robot(rights, unit, scope)
 
     # -- carrying it out -----------------------------------------------------------------------
 
@@ -391,10 +264,10 @@ class Estop:
 
         :raises DeviceRejected: one refuses or does not answer; it is latched here again.
         """
-        # All are heard to the end, even if the request ends before.
+        # Every gateway is waited for, even if the request ends before.
         asking = [self._loop.create_task(self._reset_at_gateway(*one)) for one in robots.items()]
         found = await asyncio.shield(asyncio.gather(*asking))
-        seen = self._visible(session)
+        seen = self._scopes.visible(session)
         refused = {r.name: why for r, why in zip(robots, found, strict=True) if why and r in seen}
         if any(found):
             named = ", ".join(f"{name} ({why})" for name, why in refused.items())
@@ -415,7 +288,7 @@ class Estop:
             why = str(error) or "no answer"
             log.warning("estop_not_reset", backend=robot.name, error=why)
             by, reason = ("the gateway", None) if latch is None else (latch.by, latch.reason)
-            for key in _keys([robot]):
+            for key in latch_keys([robot]):
                 self._latches.set(key, by, reason)
             robot.count_stop()
             self._stops.begin([robot])
@@ -436,7 +309,7 @@ class Estop:
         return self.state(session)
 
     def _unconfirmed(self, session: Session, late: Iterable[Stop]) -> DeviceTimeout:
-        visible = self._visible(session)
+        visible = self._scopes.visible(session)
         shown = [stop for stop in late if stop.unit in visible]
         names = [f"{stop.unit.name} ({stop.detail})" for stop in shown]
         names = names or ["another part of the robot"]
@@ -447,9 +320,3 @@ class Estop:
             remedy="Use the robot's own emergency stop. /system/estop shows when it is at rest.",
             details={"robots": {stop.unit.name: stop.plain() for stop in shown}},
         )
-
-
-def _keys(units: list[StopGroup]) -> dict[str, str | None]:
-    """Return the keys of the latches for robots, those of whole backends where they can be."""
-    names = {unit.name: unit.tenant for unit in merged(units)}
-    return names | {unit.identity: unit.tenant for unit in units}

@@ -1,4 +1,4 @@
-"""Backends that front one robot help each other: what one cannot stop, the others bring to rest."""
+"""Several backends of one robot: what one of them cannot stop, the others bring to rest."""
 
 from __future__ import annotations
 

@@ -31,7 +31,9 @@ __all__ = [
 ]
 
 log = structlog.get_logger("rcp.safety")
-_UNTAKEN = 0.25  # s that the robot may not take a safe value before its other backends are halted
+_UNTAKEN = (
+    0.25  # s without the robot accepting a safe value, after which its other backends are halted
+)
 ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
 
 
@@ -63,7 +65,7 @@ def check_hold(entry: Entry, value: Any) -> None:
 
 
 def is_safe(entry: Entry, value: Any) -> bool:
-    """Tell whether a value brings an actuator to rest."""
+    """Return whether a value brings an actuator to rest."""
     return entry.resource.safe is not None and bool(value == safe_value(entry))
 
 
@@ -96,7 +98,7 @@ def check_age(entry: Entry, timestamp: str | float) -> None:
 
 
 class Deadman:
-    """Writes the safe value when an actuator's last command lapses, until the device takes it."""
+    """Writes the safe value when an actuator's last command lapses, until the device accepts it."""
 
     def __init__(
         self,
@@ -239,7 +241,7 @@ class Deadman:
         return entry.latest is not None and entry.latest.value != safe_value(entry)
 
     def begin(self, entry: Entry) -> bool:
-        """Let a new command take over: an older one's stop must not cut into it.
+        """Let a new command take over: the stop of an older one must not interfere with it.
 
         Return whether an older command was in force; if the new one fails, `arm(entry, 0)`.
         """

@@ -25,7 +25,7 @@ class SafetyEvents:
         self._events = events
 
     def dead_man(self, entry: Entry, outcome: str) -> None:
-        """Tell that a command lapsed, or that the robot took the safe value."""
+        """Report that a command lapsed, or that the robot accepted the safe value."""
         self._events.note(
             "deadman",
             principal=None,
@@ -36,7 +36,7 @@ class SafetyEvents:
         )
 
     def refused(self, backend: str, tenant: str, error: RcpError, count: int) -> None:
-        """Tell that somebody was refused at the robots' side of a backend."""
+        """Report that a peer was refused at the robots' side of a backend."""
         self._events.note(
             "denial",
             principal=None,
@@ -48,7 +48,7 @@ class SafetyEvents:
         )
 
     def stop_step(self, unit: StopGroup, step: str, detail: str | None) -> None:
-        """Tell that a robot under an e-stop was confirmed at rest, or that it moves again."""
+        """Report that a robot under an e-stop was confirmed at rest, or that it moves again."""
         self._events.note(
             "stop",
             principal=None,

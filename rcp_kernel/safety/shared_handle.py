@@ -14,7 +14,7 @@ class Cancellable(Protocol):
     """A timer, a task, or a part of one."""
 
     def cancel(self) -> object:
-        """End it."""
+        """Cancel it."""
         ...
 
 

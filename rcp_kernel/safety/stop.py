@@ -4,8 +4,8 @@ One state machine for every backend. A stop is confirmed by measurement only: th
 has returned since it was requested, and its `motion` says that the robot is at rest. A robot that
 cannot be reached is never confirmed. Until it is, the stop is repeated; as long as an e-stop is
 latched it is asserted again ten times a second, and a robot that moves again is stopped again and
-raises an alarm. A robot's own gateway does so itself: it is reminded once a second, so that a latched
-fleet does not take the hub's time.
+raises an alarm. A robot's own gateway does so itself: it gets the stop again once a second, so that a
+latched fleet does not take the hub's time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import asyncio
 import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import structlog
 
@@ -25,7 +25,7 @@ from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.spi import MotionState
 from rcp_kernel.tree.entry import StopGroup
 
-__all__ = ["Phase", "Stop", "StopController", "StopRecorder", "merged"]
+__all__ = ["Phase", "Stop", "StopController", "merged"]
 
 log = structlog.get_logger("rcp.safety")
 Phase = Literal["requested", "commanded", "confirmed"]
@@ -35,12 +35,8 @@ _TURNS = 10  # periods in which each robot's own gateway, which asserts by itsel
 _ALONE = 0.25  # s that the halt of a whole backend may take before its robots are halted one by one
 
 
-class StopRecorder(Protocol):
-    """The recorder of the steps of a stop."""
-
-    def __call__(self, unit: StopGroup, step: str, detail: str | None, /) -> None:
-        """Note that a robot's stop was confirmed, or that it moves again; must not block."""
-        ...
+StopRecorder = Callable[[StopGroup, str, str | None], None]
+"""Records that a robot's stop was `confirmed`, or that it `moves_again` and why; must not block."""
 
 
 class Stop:
@@ -77,12 +73,12 @@ class Stop:
         self.halted = False
         """Whether a `halt` has returned since the stop was requested, or since it moved again."""
         self.released = False
-        """Whether the latch was reset: nothing is repeated any more."""
+        """Whether the latch was reset: the stop is no longer repeated."""
         self.tasks: set[asyncio.Future[None]] = set()
 
     @property
     def phase(self) -> Phase:
-        """How far it is: `commanded` once the backend was asked, `confirmed` by measurement only."""
+        """Its progress: `commanded` once the backend was called, `confirmed` by measurement only."""
         if self.confirmed is not None:
             return "confirmed"
         return "requested" if self.commanded is None else "commanded"
@@ -135,7 +131,7 @@ class StopController:
         return list(stops.values())
 
     def halt_unseen(self, whole: StopGroup) -> None:
-        """Halt all of a backend, beside the robots that are known; nothing waits for it."""
+        """Halt all of a backend, in addition to its known robots; nothing waits for it."""
         with unfenced():
             task = self._loop.create_task(whole.halt())
         task.add_done_callback(_consume_outcome)
@@ -187,7 +183,7 @@ class StopController:
             self._drop(stop)
 
     def _drop(self, stop: Stop) -> None:
-        """Stop repeating a stop that nothing can send any more."""
+        """Stop repeating a stop that can no longer be sent."""
         del self._stops[stop.unit]
         stop.released = True
         for task in stop.tasks:
@@ -220,7 +216,7 @@ class StopController:
         task = retry_until_confirmed(
             partial(self._attempt, stop),
             "halt_failed",
-            # A gateway is asked once over a link that loses nothing, whoever waits for its answer.
+            # Its link loses nothing: one call is enough while its gateway has not answered.
             again=_ALONE if unit.owner.has_gateways else None,
             backend=unit.name,
         )
@@ -398,7 +394,7 @@ def _consume_outcome(task: asyncio.Task[None]) -> None:
 def merged(units: Iterable[StopGroup]) -> dict[StopGroup, list[StopGroup]]:
     """Group robots by what stops them in one call: the whole backend where all of it is meant."""
     meant = dict.fromkeys(units)
-    complete = {  # each backend is asked once: it may have thousands
+    complete = {  # each backend is examined once: it may have thousands of robots
         whole
         for whole in {unit.whole for unit in meant}
         if whole in meant or meant.keys() >= set(whole.owner.units)

@@ -26,7 +26,7 @@ class SessionAccount(Protocol):
         ...
 
     def allows(self, moment: float) -> bool:
-        """Tell whether `take` would count a request."""
+        """Return whether `take` would count a request."""
         ...
 
     def refusal(self, moment: float) -> RcpError:
@@ -65,7 +65,7 @@ class JointAccount:
         return self.allows(moment) and all(account.take(moment) for account in self._accounts)
 
     def allows(self, moment: float) -> bool:
-        """Tell whether all would count a request."""
+        """Return whether all would count a request."""
         return all(account.allows(moment) for account in self._accounts)
 
     def refusal(self, moment: float) -> RcpError:
@@ -84,7 +84,7 @@ class JointAccount:
             account.check_command(path)
 
     def add_command(self, id_: str, path: str) -> Callable[[], None]:
-        """Let all accounts count a command."""
+        """Count a command in all accounts."""
         ends = [account.add_command(id_, path) for account in self._accounts]
 
         def end() -> None:

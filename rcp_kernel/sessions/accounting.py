@@ -21,8 +21,7 @@ class Accounting(Protocol):
     """Counts sessions, and may refuse one.
 
     The account returned for a session (None: nothing is counted) applies until another is returned.
-    Only
-    `enter` and `check_tenant` may refuse; exceptions of the other methods are logged and change
+    Only `enter` and `check_tenant` may refuse; exceptions of the other methods are logged and change
     nothing, so that no feature can prevent a client from connecting to stop a robot.
     """
 
@@ -37,7 +36,7 @@ class Accounting(Protocol):
     def enter(self, session: Session, drop: Callable[[Session], None]) -> SessionAccount | None:
         """Count a new session and return its account; `drop` ends one that has to make room.
 
-        Only such should make room as wait for their client's return (`Session.cut`).
+        Only sessions that wait for their client to return (`Session.cut`) should make room.
 
         :raises RcpError: as many as allowed are connected.
         """
@@ -58,16 +57,16 @@ class Accounting(Protocol):
         ...
 
     def leave(self, session: Session) -> None:
-        """Count a session no more; it may not have been counted."""
+        """Stop counting a session, which may not have been counted."""
         ...
 
     def forget_commands(self) -> None:
-        """Forget which commands run: the configuration may be another, and each is counted again."""
+        """Forget the running commands: the configuration may have changed, and each is counted again."""
         ...
 
 
 class SessionAccounting:
-    """Asks all features that count sessions."""
+    """Passes sessions to all features that count them."""
 
     def __init__(
         self,
@@ -97,7 +96,7 @@ class SessionAccounting:
         session.account = joint(accounts)
 
     def update(self, session: Session) -> None:
-        """Count a session by what applies now; one that has ended is not counted."""
+        """Count a session under its current principal and tenant; one that has ended is not counted."""
         held = session.id in self._sessions
         accounts: list[SessionAccount | None] = []
         for part in self._parts:
@@ -119,7 +118,7 @@ class SessionAccounting:
             self.update(session)
 
     def leave(self, session: Session) -> None:
-        """Count a session no more."""
+        """Stop counting a session."""
         for part in self._parts:
             try:
                 part.leave(session)
@@ -127,7 +126,7 @@ class SessionAccounting:
                 log.exception("accounting_failed", feature=type(part).__module__)
 
     def recount(self) -> None:
-        """Count the running commands afresh: the configuration may be another."""
+        """Count the running commands again: the configuration may have changed."""
         for part in self._parts:
             try:
                 part.forget_commands()

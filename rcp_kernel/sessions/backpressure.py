@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Collection, Container
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -66,7 +67,7 @@ class Relief:
         self._timer: asyncio.TimerHandle | None = None
 
     def start(self) -> None:
-        """Look from now on, again and again while there are sessions."""
+        """Check queued data periodically while there are sessions."""
         if self._timer is None:
             self._timer = self._loop.call_later(_SWEEP, self._look)
 
@@ -83,7 +84,7 @@ class Relief:
                 if size:
                     held.append((size, session))
         total = sum(size for size, _ in held)
-        for size, session in sorted(held, key=_by_size, reverse=True):
+        for size, session in sorted(held, key=itemgetter(0), reverse=True):
             if size <= self._outbound.each and total <= self._outbound.limit:
                 return
             total -= size
@@ -91,11 +92,7 @@ class Relief:
             _conflate(session.connection.outbox, session.subscriptions, _SLOW)
 
     def close(self) -> None:
-        """Look no more."""
+        """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-
-
-def _by_size(item: tuple[int, Session]) -> int:
-    return item[0]

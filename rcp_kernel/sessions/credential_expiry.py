@@ -29,14 +29,14 @@ class CredentialExpiry:
         self._expel = expel
 
     def watch(self, session: Session) -> None:
-        """Watch a session's present principal, in place of an earlier one."""
+        """Monitor the expiry of a session's current principal, instead of an earlier one."""
         self.forget(session)
         if session.principal.expires is not None:
-            # Not at once: its connection is only made when there is a session.
+            # Not at once: the connection is created after the session.
             session.expiry_check = self._loop.call_later(0.0, self._look, session, False)
 
     def forget(self, session: Session) -> None:
-        """Watch a session no more."""
+        """Stop monitoring a session."""
         if session.expiry_check is not None:
             session.expiry_check.cancel()
             session.expiry_check = None

@@ -1,4 +1,4 @@
-"""A long value that several have to write: the client's reply, the record, the history."""
+"""A long value that is written several times: in the reply, the record and the history."""
 
 from __future__ import annotations
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from operator import attrgetter
 from typing import TYPE_CHECKING, Protocol
 
 import structlog
@@ -95,7 +96,7 @@ class Backlog:
         self._outbound.wait(outbox)
 
     def close(self, outbox: Waiting | None = None) -> None:
-        """Stop counting, and do not flush its outbox any more."""
+        """Stop counting, and no longer flush its outbox."""
         if outbox is not None:
             self._outbound.forget(outbox)
         self.close_client = None
@@ -155,7 +156,7 @@ class Outbound:
         self._watch()
 
     def forget(self, outbox: Waiting) -> None:
-        """Do not flush an outbox any more."""
+        """No longer flush an outbox."""
         self._waiting.pop(outbox, None)
 
     def _wake(self) -> None:
@@ -174,7 +175,7 @@ class Outbound:
         if over >= 0:
             before = self._loop.time() - _STALLED
             stalled = [b for b in self._holders if b.close_client is not None and b.since <= before]
-            for backlog in sorted(stalled, key=_by_size, reverse=True):
+            for backlog in sorted(stalled, key=attrgetter("counted"), reverse=True):
                 self.closed_clients += 1
                 over -= backlog.counted
                 log.warning("client_cut", waiting=backlog.size, total=self.total)
@@ -191,7 +192,3 @@ class Outbound:
         """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
-
-
-def _by_size(backlog: Backlog) -> int:
-    return backlog.counted

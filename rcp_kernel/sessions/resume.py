@@ -55,7 +55,7 @@ class StoredSession(msgspec.Struct):
 
 
 class SessionResume:
-    """The sessions of earlier runs, and notes of those of this one."""
+    """The stored sessions of earlier runs, and those of this one."""
 
     def __init__(
         self,
@@ -101,20 +101,20 @@ class SessionResume:
             self._loop.call_later(left / 1e9, self._expire, name)
 
     def start(self) -> None:
-        """Note from time to time that the gateway is alive."""
+        """Store periodically that the gateway is alive."""
         self._store.put(_LIFE, "alive", self._now())
         self._beat = self._loop.call_later(_BEAT, self.start)
 
     def stop(self) -> None:
-        """Note it a last time."""
+        """Store it for the last time."""
         if self._beat is not None:
             self._beat.cancel()
         self._store.put(_LIFE, "alive", self._now())
 
-    # -- what becomes of sessions now ----------------------------------------------------------
+    # -- sessions of this run -------------------------------------------------------------------
 
     def note(self, session: Session) -> None:
-        """Keep a session that its client knows, as it is now."""
+        """Store a session that its client knows, as it is now."""
         store = self._store
         if not store.keeps or not session.greeted:
             return
@@ -142,7 +142,7 @@ class SessionResume:
             self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
 
     def unsubscribed(self, session: Session, id_: str) -> None:
-        """Let go of a subscription."""
+        """Delete a stored subscription."""
         if self._store.keeps and session.greeted:
             self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{id_}", None)
 
@@ -175,7 +175,7 @@ class SessionResume:
             self._delete(name, [f"{name}/{id_}" for id_ in kept.subscriptions])
 
     def restore(self, session: Session, kept: StoredSession, subscribe: Subscribe) -> None:
-        """Let `subscribe` restart a session's subscriptions, with a notice of what is missing."""
+        """Restart a session's subscriptions by `subscribe`, with a notice about lost samples."""
         connection = session.connection
         assert connection is not None
         for id_, row in kept.subscriptions.items():

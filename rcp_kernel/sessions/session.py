@@ -230,9 +230,9 @@ class Session:
 
     @property
     def holders(self) -> tuple[str, ...]:
-        """Whose holdings are the session's: its own, and those of its principal as a whole."""
+        """The holders that the session acts for: itself, and its principal as a whole."""
         whole = f"{self.principal.proof}:{self.principal.name}"
-        if (hub := self.principal.via) is not None:  # it tells its own sessions apart itself
+        if (hub := self.principal.via) is not None:  # the hub distinguishes its own sessions itself
             return (f"{whole}@{hub}",)
         return (whole,) if self.shared else (self.id, whole)
 

@@ -141,7 +141,7 @@ class Sessions:
             )
 
     def watch(self, session: Session) -> None:
-        """End a session once the proof of its principal does not hold any more."""
+        """End a session when the credentials of its principal expire."""
         self._lapsing.watch(session)
 
     def _make_room(self) -> None:
@@ -172,7 +172,7 @@ class Sessions:
         return session
 
     def commanding(self, session: Session) -> Session:
-        """Return the session that a client commands by: its principal's, if this one only listens."""
+        """Return the session in which a client commands: the shared one, if this one only listens."""
         if not session.one_way:
             return session
         return self.stateless(session.principal, session.transport, session.tenant)

@@ -47,7 +47,7 @@ _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sa
 
 
 def is_system(path: str) -> bool:
-    """Tell whether a path is in the gateway's own branch."""
+    """Return whether a path is in the gateway's own branch."""
     return path.startswith("/system/")
 
 
@@ -68,7 +68,7 @@ class Owner(Protocol):
 
     @property
     def tenant(self) -> str | None:
-        """Whose robot it is; None for the gateway's own branch."""
+        """The robot's tenant; None for the gateway's own branch."""
         ...
 
     @property
@@ -110,7 +110,7 @@ class Owner(Protocol):
         ...
 
     def fault(self, detail: str) -> None:
-        """Note a fault of the backend's own making."""
+        """Record a fault of the backend."""
         ...
 
     def state_changed(self) -> None:
@@ -123,6 +123,14 @@ class Listener(Protocol):
 
     def offer(self, sample: Sample) -> None:
         """Handle a new sample; must neither block nor raise."""
+        ...
+
+
+class RemoteListener(Protocol):
+    """A receiver of values in another frame, which the robot's own gateway sends."""
+
+    def follow(self) -> None:
+        """Receive them with the current rights and backend."""
         ...
 
 
@@ -191,9 +199,9 @@ class Entry:
         """Whether a latched e-stop refuses it."""
         policy = resource.policy
         self.parallel = policy == "parallel" or (policy is None and self.kind is Kind.SERVICE)
-        """Whether commands run beside each other: the default of services."""
+        """Whether commands run concurrently: the default of services."""
         self.is_hold = False
-        """Whether it is the gateway's own verb that brings the robot to rest without an e-stop."""
+        """Whether it is the gateway's own hold service, which brings the robot to rest without an e-stop."""
         self.live = resource.live
         self.deadline = resource.deadline
         self.value_type: ValueType = value_type(resource.value)
@@ -210,8 +218,8 @@ class Entry:
         self.keeps_history = False
         """Whether its whole history is stored even without subscribers."""
         self.listeners: list[Listener] = []
-        self.framed: tuple[Listener, ...] = ()
-        """Those that the robot's own gateway sends values in other frames."""
+        self.framed: tuple[RemoteListener, ...] = ()
+        """Receivers of values in other frames from the robot's own gateway."""
         self.sustained = 0.0
         """Rate in Hz at which it is published regardless of subscribers."""
         self.written: float | None = None
@@ -284,7 +292,7 @@ class Entry:
             self.ring = deque(self.ring, maxlen=length)
 
     def adopt(self, old: Entry) -> None:
-        """Go on where an entry of the same path left off: number, samples and listeners."""
+        """Continue an earlier entry of the same path: its number, samples and listeners."""
         self.seq, self.numbered = old.seq, old.numbered
         self.keeps_history = old.keeps_history
         self.listeners, self.framed = old.listeners, old.framed
@@ -359,19 +367,19 @@ class StopGroup:
         """The open backend, or None while there is none or this robot is down; set by the owner, as
         every request looks at it. Stops are sent regardless, by `backend`."""
         self.state: Availability = "ready"
-        """What its backend reports of it alone."""
+        """What its backend reports about it alone."""
         self.detail: str | None = None
         """Why it is not ready."""
         self.since = now()
         """When that changed, ns."""
         self.facts = RobotFacts()
-        """What its backend says of it."""
+        """What its backend reports about it."""
         self.anchor: Anchor | None = None
         """Where one of its frames is fixed to the earth."""
         self.frames: FrameTree | None = None
         """The transforms between its frames, if its backend receives them."""
         self.own_leases: OwnLeases | None = None
-        """The leases on it, as its own gateway says, if it has one that can be asked."""
+        """The leases on it, as its own gateway reports them; None if it has none, or is not connected."""
         self.retired: Latch | None = None
         """Permanent reasons to hold it."""
         self._latches = latches
@@ -396,7 +404,7 @@ class StopGroup:
 
     @property
     def tenant(self) -> str | None:
-        """Whose it is."""
+        """Its tenant."""
         return self.owner.tenant
 
     @property
@@ -460,7 +468,7 @@ class StopGroup:
 
     @property
     def availability(self) -> Availability:
-        """Whether it can be used: what is said of its backend, or of it alone if that is worse."""
+        """The availability of its backend, or its own if that is worse."""
         whole, own = self.owner.availability, self.state
         return own if _BY_SEVERITY.index(own) > _BY_SEVERITY.index(whole) else whole
 
@@ -476,7 +484,7 @@ class StopGroup:
         )
 
     def count_stop(self) -> None:
-        """Let nothing that was admitted until now reach it."""
+        """Count an e-stop: nothing that was admitted before reaches it."""
         self._stops += 1
         self._stopped = time.monotonic()
 
@@ -497,7 +505,7 @@ class StopGroup:
             self.owner.state_changed()
 
     def release(self, moment: int) -> None:
-        """Let nothing that was sent before `moment`, in ns, reach it."""
+        """Record a reset: nothing that was sent before `moment` (ns) reaches it."""
         self._released = moment
 
     async def halt(self) -> None:

@@ -32,7 +32,7 @@ class Latch:
         self.freed = set(freed)
         """Narrower keys that it holds no longer."""
         self.shown: Mapping[str, Any] | None = None
-        """What the robot's own gateway says of its latch, if this one only shows it."""
+        """The latch as the robot's own gateway reports it, if this one only mirrors it."""
 
     def plain(self) -> dict[str, Any]:
         """Describe the latch."""

@@ -33,7 +33,7 @@ class Registry:
         self.on_added: list[Callable[[Entry], None]] = []
         self.on_removed: list[Callable[[Entry], None]] = []
         self.on_state: list[Callable[[], None]] = []
-        """Called when the state of some robot, or what is known of it, may have changed."""
+        """Called when the state of some robot, or what is known about it, may have changed."""
         self.on_leases: list[Callable[[StopGroup], None]] = []
         """Called when a robot's own gateway has said who holds leases on it."""
         self._growing: list[Owner] = []
@@ -89,12 +89,12 @@ class Registry:
             callback(entry)
 
     def state_changed(self) -> None:
-        """Announce that the state of some robot, or what is known of it, may have changed."""
+        """Announce that the state of some robot, or what is known about it, may have changed."""
         for callback in self.on_state:
             callback()
 
     def leases_told(self, unit: StopGroup) -> None:
-        """Announce what a robot's own gateway says of leases on it."""
+        """Announce that a robot's own gateway has reported the leases on it."""
         for callback in self.on_leases:
             callback(unit)
 
@@ -156,7 +156,7 @@ def _may_own(owner: Owner, path: str) -> bool:
 
 
 def _meet(prefix: str, place: str) -> bool:
-    """Tell whether one of two runs of segments begins the other."""
+    """Return whether one of two paths contains the other."""
     return f"{prefix}/".startswith(f"{place}/") or f"{place}/".startswith(f"{prefix}/")
 
 

@@ -48,14 +48,14 @@ class Scope:
         return self.text.count("/") == 2
 
     def covers(self, path: str) -> bool:
-        """Tell whether a full path lies in the scope, whether or not it exists."""
+        """Return whether a full path lies in the scope, whether or not it exists."""
         if self.robot is None:
             return path == self.text or path.startswith(self._below)
         parts = path.split("/", 5)
         return len(parts) > 4 and parts[1:3] == ["tenant", self.tenant] and parts[4] == self.robot
 
     def overlaps(self, other: Scope) -> bool:
-        """Tell whether some path, of now or later, may lie in both."""
+        """Return whether a path, existing or future, may lie in both."""
         if self.tenant != other.tenant:
             return False
         if self.robot is not None and other.robot is not None:

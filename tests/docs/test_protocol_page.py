@@ -11,7 +11,7 @@ import pytest
 from docs.pages import DOCS, keys, rows, section
 from kernel.world import features_of
 from rcp_approvals import ApprovalRequest
-from rcp_gateway.composition import compose
+from rcp_gateway.kernel import Kernel
 from rcp_gateway.log import Recent
 from rcp_gateway.system import EstopRequest
 from rcp_kernel.access.acl import Rights
@@ -99,7 +99,7 @@ async def test_the_system_branch_and_the_metrics_are_told() -> None:
     loop = asyncio.get_running_loop()
     config = GatewayConfig()
     features = features_of(config)
-    kernel = compose(
+    kernel = Kernel(
         config, loop, store=Store(), recent=Recent(), clock=SYSTEM_CLOCK, features=features
     )
     documented = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}

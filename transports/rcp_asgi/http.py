@@ -23,6 +23,7 @@ from uvicorn.protocols.http.httptools_impl import (
 )
 from uvicorn.server import ServerState
 
+from rcp_asgi.certificates import read_certificate
 from rcp_asgi.connection_limiter import Seat
 from rcp_asgi.endless import Endless
 from rcp_asgi.exchange import Exchange
@@ -36,7 +37,7 @@ from rcp_asgi.request_head import (
 )
 from rcp_asgi.settings import Settings
 from rcp_asgi.upgrade import Upgrade
-from rcp_gateway.api import UNKNOWN_PEER, Backlog, Peer, read_certificate
+from rcp_gateway.api import UNKNOWN_PEER, Backlog, Peer
 from rcp_gateway.client_api import Asgi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding

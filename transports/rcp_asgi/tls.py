@@ -13,8 +13,9 @@ from typing import Any
 
 import structlog
 
+from rcp_asgi.certificates import read_pem, revoked_by
 from rcp_asgi.config import TlsConfig
-from rcp_gateway.api import Serial, others_may, read_pem, require_certificates, revoked_by
+from rcp_gateway.api import Serial, others_may, require_certificates
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ConfigError
 

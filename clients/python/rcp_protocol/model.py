@@ -17,6 +17,7 @@ from rcp_protocol.errors import InvalidPath
 
 __all__ = [
     "BRANCHES",
+    "MAX_DEEP",
     "MAX_PATH",
     "MOVING",
     "READS",

@@ -15,8 +15,12 @@ from msgspec import Meta
 __all__ = [
     "NONFINITE",
     "Accel",
+    "AngularAcceleration",
+    "AngularVelocity",
     "Int64",
     "LaserScan",
+    "LinearAcceleration",
+    "LinearVelocity",
     "Metres",
     "Point",
     "Pose",

@@ -34,6 +34,7 @@ __all__ = [
     "ValueType",
     "dump",
     "is_long",
+    "parse",
     "sound",
     "to_plain",
     "value_type",

@@ -29,6 +29,7 @@ __all__ = [
     "Request",
     "RequestType",
     "Status",
+    "check_size",
     "decode_request",
     "encode_body",
     "encode_frame",

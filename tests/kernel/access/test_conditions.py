@@ -124,7 +124,13 @@ async def test_a_field_has_the_name_that_clients_read(world: World, entry: Entry
 
 async def test_the_clock_is_the_gateways_own(world: World, entry: Entry) -> None:
     noon = datetime(2026, 5, 31, 12, 30).astimezone()  # a Sunday
-    told = Conditions(world.server.kernel.hub, Clock(now=lambda: int(noon.timestamp() * 1e9)))
+    kernel = world.server.kernel
+    told = Conditions(
+        kernel.registry,
+        Clock(now=lambda: int(noon.timestamp() * 1e9)),
+        sustain=kernel.hub.sustain,
+        is_published=kernel.hub.demand.holds,
+    )
     text = "time.hour == 12 && time.minute == 30 && time.weekday == 6"
     assert told.holds(Condition(text), entry) is True
     system = world.server.kernel.registry.entries["/system/status"]

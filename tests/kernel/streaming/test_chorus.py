@@ -13,7 +13,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.sessions.outbox import BUDGET
 from rcp_kernel.tree.samples import Rendering, Sample
 from rcp_kernel.values import Encoding
-from rcp_streams.shared_fanout import SharedFanout, leave_fanout
+from rcp_streams.shared_fanout import SharedFanout
 
 pytestmark = pytest.mark.anyio
 LEVEL = "/tenant/alpha/sensor/level"
@@ -361,6 +361,6 @@ async def test_one_who_leaves_meanwhile_misses_nothing_of_others(world: World) -
         entry = world.server.kernel.registry.entries[STEADY]
         (fanout,) = entry.listeners
         assert isinstance(fanout, SharedFanout)
-        leave_fanout(fanout.members[0], entry)
+        fanout.members[0].unlisten()
         assert await staying.get() == b"00012"
     assert leaving.empty()

@@ -16,7 +16,7 @@ from msgspec import Raw
 from configuration import key
 from kernel.world import Client, World, world_of
 from plugins.plans.planned import PEOPLE, begun, code, echo, faults, go, run, send, step
-from rcp_kernel.contract.queued_request import QueuedRequest
+from rcp_kernel.contract.requests import QueuedRequest
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio

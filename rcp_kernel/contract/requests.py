@@ -1,4 +1,4 @@
-"""A long request whose body was decoded in steps before it is handled."""
+"""Requests that never come off the wire: those of adapters, and long ones decoded in steps."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import Any
 from rcp_kernel.values import ValueType
 from rcp_kernel.wire import Request
 
-__all__ = ["Prepared"]
+__all__ = ["PreparedRequest", "QueuedRequest"]
 
 
-class Prepared(Request):
-    """A request whose body is already decoded; it never comes off the wire."""
+class PreparedRequest(Request):
+    """A long request whose body was decoded in steps before it is handled."""
 
     type_of_body: ValueType
     """The type used to decode the body."""
@@ -27,3 +27,13 @@ class Prepared(Request):
         if isinstance(self.outcome, Exception):
             raise self.outcome
         return self.outcome
+
+
+class QueuedRequest(Request, kw_only=True):
+    """A request that waited in a queue of an adapter, which no client can send as such.
+
+    An e-stop after its arrival refuses an action of the gateway that affects the stopped robot.
+    """
+
+    since: float
+    """Time of arrival, by `time.monotonic()`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rcp_kernel.clock import Lateness
+from rcp_links import Lateness
 
 
 def test_a_sample_is_late_by_what_it_takes_longer_than_the_promptest() -> None:

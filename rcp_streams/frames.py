@@ -1,59 +1,54 @@
-"""Frames on request: the interface of the feature that converts values and goals."""
+"""Values in the frames that clients name: the interface of the feature that converts them, and goals."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Protocol
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.errors import FilterUnsupported
+from rcp_kernel.features.services import ServiceKey
+from rcp_kernel.sessions.outbox import Outbox
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_kernel.values import ValueType
 from rcp_kernel.wire import Request
+from rcp_streams.path_subscription import PathSubscription, Subscriber
 
-__all__ = ["FrameConverter", "FrameView", "NoFrames"]
+__all__ = ["FRAMES", "FrameConverter", "FrameView", "NoFrames"]
 
 
 class FrameView(Protocol):
-    """The values of one resource in another frame."""
+    """The values of one resource in another frame, for one session."""
 
     @property
     def value_type(self) -> ValueType:
         """The type of the converted values."""
         ...
 
+    @property
+    def remote(self) -> bool:
+        """Whether the robot's own gateway converts, and sends the values: see `Entry.framed`."""
+        ...
+
     def check(self) -> None:
-        """Make sure that values can be converted as things are.
+        """Make sure that values can be converted at the moment.
 
         :raises InvalidValue: there is no such frame, or nothing connects it to the values' own.
         """
         ...
 
     def convert(self, sample: Sample) -> Sample:
-        """Return a sample in the frame; the same one for all who ask for it.
+        """Return a sample in the frame; the same one for all sessions with the same rights.
 
         :raises RcpError: its value is invalid, or there is no transform for its time.
         """
         ...
 
-    @property
-    def remote(self) -> bool:
-        """Whether the robot's own gateway converts: see `follow`."""
-        ...
-
-    def follow(
-        self,
-        entry: Entry,
-        rate: float | None,
-        offer: Callable[[Sample], None],
-        missing: Callable[[str], None],
-    ) -> Callable[[], None]:
-        """Have the robot's own gateway send its values in the frame; return the end function.
-
-        `entry` is the resource as it is declared now. `missing` is told why there are none for now.
-        """
+    def feed(
+        self, subscription: Subscriber, entry: Entry, outbox: Outbox | None
+    ) -> PathSubscription:
+        """Create the feed of a subscription that names the frame."""
         ...
 
 
@@ -91,8 +86,12 @@ class FrameConverter(Protocol):
         ...
 
 
+FRAMES: ServiceKey[FrameConverter] = ServiceKey("frames")
+"""The service of the feature that converts; without one, `NoFrames`."""
+
+
 class NoFrames:
-    """A gateway without that feature: goals are left to the robots."""
+    """The converter of a gateway without that feature: goals are passed to the robots unchanged."""
 
     def converts(self, entry: Entry) -> bool:
         """Convert nothing."""

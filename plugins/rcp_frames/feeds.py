@@ -3,27 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.errors import RcpError
-from rcp_kernel.features.frames import FrameView
 from rcp_kernel.sessions.notices import notice
-from rcp_kernel.sessions.outbox import Outbox
+from rcp_kernel.sessions.outbox import FlushScheduler, Outbox
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_streams.filtered import FilteredPathSubscription
 from rcp_streams.path_subscription import Subscriber
 
-__all__ = ["FramedPathSubscription", "RemoteFramedPathSubscription"]
+__all__ = ["ConvertedFeed", "RemoteFeed"]
 
 
-class FramedPathSubscription(FilteredPathSubscription):
+class ConvertingView(Protocol):
+    """The values of one resource, converted here."""
+
+    def convert(self, sample: Sample) -> Sample:
+        """Return a sample in the frame.
+
+        :raises RcpError: its value is invalid, or there is no transform for its time.
+        """
+        ...
+
+
+class RemoteView(Protocol):
+    """The values of one resource, converted by the robot's own gateway."""
+
+    def follow(
+        self,
+        entry: Entry,
+        rate: float | None,
+        offer: Callable[[Sample], None],
+        missing: Callable[[str], None],
+    ) -> Callable[[], None]:
+        """Have the gateway send its values; return the end function.
+
+        `entry` is the resource as it is declared now. `missing` is called with the reason why there
+        are none for now.
+        """
+        ...
+
+
+class ConvertedFeed(FilteredPathSubscription):
     """A path of a subscription that names a frame; filters see the converted values."""
 
     __slots__ = ("_told", "_view")
 
     def __init__(
-        self, subscription: Subscriber, entry: Entry, outbox: Outbox | None, view: FrameView
+        self, subscription: Subscriber, entry: Entry, outbox: Outbox | None, view: ConvertingView
     ) -> None:
         super().__init__(subscription, entry, outbox)
         self._view = view
@@ -55,26 +84,43 @@ class FramedPathSubscription(FilteredPathSubscription):
             _tell_missing(self, error.message)
 
 
-class RemoteFramedPathSubscription(FilteredPathSubscription):
+class RemoteFeed(FilteredPathSubscription):
     """A path in a frame that only the robot's own gateway knows: its values come converted."""
+
+    remote = True
 
     __slots__ = ("_end", "_last", "_returned", "_told", "_view")
 
     def __init__(
-        self, subscription: Subscriber, entry: Entry, outbox: Outbox | None, view: FrameView
+        self, subscription: Subscriber, entry: Entry, outbox: Outbox | None, view: RemoteView
     ) -> None:
         super().__init__(subscription, entry, outbox)
         self._view = view
         self._end: Callable[[], None] | None = None
         self._last: int | None = None
-        """Number of the last value received, or sent before it returned; None: of none."""
+        """Number of the last value received, or sent before the client returned; None: there was none."""
         self._told: str | None = None
         """Why values are missing, as the client knows."""
         self._returned = False
         """Whether the client has returned, and what it missed was not kept."""
 
+    def listen(self, scheduler: FlushScheduler) -> None:
+        """Start to receive values from the robot's own gateway."""
+        self.entry.framed += (self,)
+        self.follow()
+
+    def unlisten(self) -> bool:
+        """Stop receiving values; return whether any were received."""
+        self._told = self._last = None
+        if self._end is not None:
+            self._end()
+            self._end = None
+        known = self in self.entry.framed
+        self.entry.framed = tuple(one for one in self.entry.framed if one is not self)
+        return known
+
     def follow(self) -> None:
-        """Begin to receive values, or go on with the rights and the backend of now."""
+        """Continue with the current rights and backend."""
         before = self._end
         if self.kept:
             self._returned, self._last = True, self.sent
@@ -82,13 +128,6 @@ class RemoteFramedPathSubscription(FilteredPathSubscription):
         self._end = self._view.follow(self.entry, rate, self._receive, self._miss)
         if before is not None:
             before()
-
-    def unfollow(self) -> None:
-        """Receive none any more."""
-        self._told = self._last = None
-        if self._end is not None:
-            self._end()
-            self._end = None
 
     def admit(self, sample: Sample) -> Sample | None:
         """Return nothing: earlier values are not kept in the frame."""
