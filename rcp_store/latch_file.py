@@ -133,6 +133,7 @@ class LatchFile:
 
         :raises OSError: it cannot be written.
         """
+        self._reclaim()
         self._fill(self._spare, data)
         try:
             self._swap.unlink(missing_ok=True)
@@ -144,6 +145,15 @@ class LatchFile:
             self._spare.replace(self.path)
             self._swap.replace(self._spare)
         _flush_folder(self.path.parent)
+
+    def _reclaim(self) -> None:
+        """Take the spare back from a write that was killed on the way: a full disk has no other."""
+        if self._swap.exists() and not self._spare.exists() and not self._is_current(self._swap):
+            self._swap.replace(self._spare)
+
+    def _is_current(self, file: Path) -> bool:
+        """Return whether it is another name of the file itself, which is never written in place."""
+        return self.path.exists() and file.samefile(self.path)
 
     def put_aside(self, stamp: str) -> Path:
         """Rename a damaged file, to keep it for inspection; return its new path."""

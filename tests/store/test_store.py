@@ -15,6 +15,7 @@ from kernel.world import BOUND, kept_in, settled, until_trouble, world_of
 from rcp_kernel.errors import ConfigError
 from rcp_store.disk_store import DiskStore
 from rcp_store.file import open_writable
+from rcp_store.latch_file import LatchFile, encode_latches, latch_row
 from rcp_store.store import Store
 
 pytestmark = pytest.mark.anyio
@@ -195,3 +196,20 @@ async def test_a_key_that_cannot_be_read_runs_nothing_again(tmp_path: Path) -> N
             assert "not sent again" in reply["error"]["message"]
             assert world.robot.writes == []
             assert (await world.client().ask(**limit))["status"] == "completed"
+
+
+def test_latches_are_written_in_place_after_a_kill_between_two_renames(tmp_path: Path) -> None:
+    """A full disk has room for no other file."""
+    store = tmp_path / "store.db"
+    file = LatchFile(store)
+    for by in ("ann", "bob"):
+        file.write(encode_latches({"rover": latch_row(by, "smoke")}))
+    spare, swap = (tmp_path / f"store.db.latches.{name}" for name in ("spare", "swap"))
+    spare.rename(swap)  # as the kill leaves it
+    blocks = {path.stat().st_ino for path in (file.path, swap)}
+    file.write(encode_latches({"rover": latch_row("cyd", "smoke")}))
+    rows = LatchFile(store).read()
+    assert rows is not None
+    assert rows["rover"]["by"] == "cyd"
+    assert {path.stat().st_ino for path in (file.path, spare)} == blocks
+    assert not swap.exists()

@@ -342,10 +342,10 @@ class Channel:
         if link is not None:
             link.send({**call.envelope, "id": id_, **facts})
 
-    def cancel(self, command: str) -> None:
-        """Have a command cancelled without waiting for it, on the next connection if there is none."""
+    def later(self, envelope: dict[str, Any]) -> None:
+        """Send a request without waiting for its reply, on the next connection if there is none."""
         if self._over is None:
-            self.start({"type": "cancel", "command": command}, "always")
+            self.start(envelope, "always")
 
     def post(self, envelope: dict[str, Any]) -> None:
         """Send a request without waiting for a reply; does nothing without a connection."""

@@ -150,7 +150,7 @@ class CommandHandle:
         if self.done:
             return
         if self.id is not None:
-            self._channel.cancel(self.id)
+            self._channel.later({"type": "cancel", "command": self.id})
         elif call.sent is None:
             self._channel.calls.leave(call)
         else:
@@ -161,4 +161,4 @@ class CommandHandle:
         if reply.status not in FINAL and self._cancel_now in self._call.listeners:
             self._call.listeners.remove(self._cancel_now)
             if reply.command is not None:
-                self._channel.cancel(reply.command)
+                self._channel.later({"type": "cancel", "command": reply.command})

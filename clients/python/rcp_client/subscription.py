@@ -160,7 +160,7 @@ class Subscription:
 
     def _drop(self) -> None:
         if self._channel.subscriptions.pop(self.id, None) is not None:
-            self._channel.post({"type": "unsubscribe", "body": {"subscription": self.id}})
+            self._channel.later({"type": "unsubscribe", "body": {"subscription": self.id}})
 
     def fail(self, error: RcpError) -> None:
         """End the subscription with an error, raised after the queued updates."""

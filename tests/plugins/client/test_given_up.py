@@ -82,3 +82,14 @@ async def test_what_was_lost_with_the_link_and_is_given_up_is_not_sent_again() -
         await heard.until("reconnected")
         await heard_of_it(client)
         assert gateway.robot.ran == []
+
+
+async def test_a_subscription_that_ended_while_the_link_was_lost_ends_at_the_gateway() -> None:
+    async with cut_off() as (_, proxy, client, heard):
+        async with client.subscribe("/sensor/count"):
+            await lose(proxy, heard)
+        proxy.refuse = False
+        await heard.until("reconnected")
+        await heard_of_it(client)
+        status = await client.read("/system/status")
+        assert status["subscriptions"] == 0
