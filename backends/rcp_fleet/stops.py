@@ -31,6 +31,8 @@ class RobotStop:
         """When that was, ns by the robot's clock."""
         self._held = 0
         """Since when it is latched, if seen since the last request for a stop; 0: not seen."""
+        self._free = False
+        """Whether it was told to be free since the last request for a stop was sent."""
         client.channel.listeners.append(self._heard)
 
     def _heard(self, notice: Notice) -> None:
@@ -54,7 +56,9 @@ class RobotStop:
     def ask(self) -> asyncio.Task[None]:
         """Send the stop within this call, unless one is on its way; return its answer."""
         self._held = 0  # a reset from before this stop must not undo it, whenever it is told
-        if self._asking is None or self._asking.done():
+        # One that was sent before a reset waits for a rest that nobody asks for any more.
+        if self._asking is None or self._asking.done() or self._free:
+            self._free = False
             body = {"reason": f"hub {self._hub}"}
             envelope = {"type": "execute", "path": ESTOP, "body": body, "deadline": _WAIT}
             call = self._client.channel.start(envelope, "always")
@@ -78,6 +82,7 @@ class RobotStop:
             late = (one for one in latched if one.get("state") != "confirmed")
             self._host.own_estop(self._robot, next(late, latched[0]))
             return
+        self._free = True
         reset = told.get("reset")  # not if its latch was lost with its gateway
         is_reset = bool(self._held and reset and parse_time(reset) > self._held)
         if is_reset:
