@@ -122,6 +122,8 @@ class RemoteGateway:
             returned = self._returned
             self._returned = asyncio.get_running_loop().create_future()
             returned.set_result(None)
+            if not notice.facts.get("resumed"):
+                self._numbers.restarted()
         self._review()
 
     def _refused(self, reason: str) -> None:

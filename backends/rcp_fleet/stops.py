@@ -29,6 +29,8 @@ class RobotStop:
         """The last state of the gateway's e-stop on the present link."""
         self._time = 0
         """When that was, ns by the robot's clock."""
+        self._overtaken = 0.0
+        """Until when updates may come that an answer has overtaken, by the loop's clock."""
         self._held = 0
         """Since when it is latched, if seen since the last request for a stop; 0: not seen."""
         self._free = False
@@ -38,6 +40,7 @@ class RobotStop:
     def _heard(self, notice: Notice) -> None:
         if notice.code == "disconnected":
             self._told = None  # others may reset it meanwhile
+            self._overtaken = 0.0  # nor does the robot's clock have to go on where it was
 
     def motion(self) -> MotionState:
         """Report whether all that the gateway shows the hub is stopped, as it measures."""
@@ -71,6 +74,7 @@ class RobotStop:
 
     def _take(self, reply: Reply) -> None:
         time = parse_time(reply.timestamp) if reply.timestamp is not None else self._time
+        self._overtaken = asyncio.get_running_loop().time() + _WAIT
         self._learn(reply.body, time)
 
     def _learn(self, told: dict[str, Any], time: int) -> None:
@@ -104,8 +108,8 @@ class RobotStop:
     async def follow(self, path: str) -> AsyncIterator[object]:
         """Keep up with the gateway's e-stop, which others may set and reset."""
         async for update in self._client.subscribe(path):
-            time = parse_time(update.timestamp)
-            if time >= self._time:  # an answer overtakes updates
+            time, moment = parse_time(update.timestamp), asyncio.get_running_loop().time()
+            if time >= self._time or moment > self._overtaken:  # the robot's clock may be set back
                 self._learn(update.body, time)
             yield update
 

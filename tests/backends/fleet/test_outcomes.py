@@ -14,6 +14,7 @@ from backends.fleet.cart import Cart
 from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
 from configuration import backend, configuration, key, listener
 from rcp_client import connect
+from rcp_fleet.backend import FleetBackend
 from rcp_fleet.gateway import followed
 from rcp_kernel.spi import Progress
 from rcp_kernel.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
@@ -25,13 +26,14 @@ _GO = "/tenant/alpha/action/r1/go"
 _ESTOP = "/system/estop"
 
 
-async def _hub(stack: AsyncExitStack, port: int) -> Client:
-    """Return a client of a hub that may do everything at its robots."""
+async def _hub(stack: AsyncExitStack, port: int) -> tuple[FleetBackend, Client]:
+    """Return the backend and a client of a hub that may do everything at its robots."""
     text = hub_at(port).replace(f'token = "{OPERATOR}"', f'token = "{ADMIN}"') + _ADMIN
     hub: Served = await stack.enter_async_context(serving(text))
     client = hub.client(ADMIN)
     stack.push_async_callback(client.close)
-    return client
+    fleet: Any = hub.supervisor.backend
+    return fleet, client
 
 
 async def _cart(stack: AsyncExitStack, port: int) -> tuple[Served, Cart]:
@@ -48,7 +50,7 @@ async def test_what_failed_at_the_robot_is_not_rejected_at_the_hub() -> None:
         raise ConnectionResetError("the bus is gone")  # the robot had the command by then
 
     async with AsyncExitStack() as stack:
-        client = await _hub(stack, port)
+        _, client = await _hub(stack, port)
         _, cart = await _cart(stack, port)
         await appears(client, _GO)
         cart.behaviours["action/go"] = cut
@@ -60,7 +62,7 @@ async def test_what_failed_at_the_robot_is_not_rejected_at_the_hub() -> None:
 async def test_a_stop_is_sent_although_the_one_before_it_is_unanswered() -> None:
     port = free_port()
     async with AsyncExitStack() as stack:
-        client = await _hub(stack, port)
+        _, client = await _hub(stack, port)
         served, cart = await _cart(stack, port)
         await appears(client, _GO)
         cart.obeys = False
@@ -97,3 +99,23 @@ async def test_a_cancel_as_the_session_is_closed_does_not_hold_up_the_hub() -> N
         doing.cancel()  # before the task has heard of it
         await asyncio.wait([doing], timeout=_BOUND)
         assert doing.cancelled()
+
+
+async def test_a_stop_at_a_robot_that_comes_back_with_an_earlier_time_is_shown() -> None:
+    """As of one without a clock of its own, which goes on where it was switched off."""
+    port = free_port()
+    async with AsyncExitStack() as stack:
+        fleet, client = await _hub(stack, port)
+        async with AsyncExitStack() as robot:
+            await _cart(robot, port)
+            await appears(client, _GO)
+            fleet.gateways["r1"].stops._time += 3_600_000_000_000  # noqa: SLF001 - its clock was ahead
+        served, _ = await _cart(stack, port)
+        there = served.client(ADMIN)
+        stack.push_async_callback(there.close)
+
+        async def latched() -> bool:
+            await there.request("execute", _ESTOP, body={})
+            return bool((await client.request("read", _ESTOP))["body"]["robots"])
+
+        await eventually(latched, "the hub shows the stop", _BOUND)
