@@ -321,9 +321,12 @@ class ActionServer:
 
     def _accepted(self, goal: Any) -> None:
         try:
-            self._link.host.call_soon(self._start, goal, self._read(goal.request))
-        except Exception:  # it would end the executor, and every other server with it
-            log.exception("offered_goal_failed", action=self._name)
+            request = self._read(goal.request)
+        except Exception as error:  # it would end the executor, and every other server with it
+            self._execute(goal, (None, f"the goal cannot be read: {error}"))
+            return
+        with suppress(RuntimeError):  # the event loop has ended
+            self._link.host.call_soon(self._start, goal, request)
 
     def _start(self, goal: Any, request: Any) -> None:
         id_ = bytes(goal.goal_id.uuid)
