@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from rcp_offers.call import Call, Report
 from rcp_offers.messages import Answer, Offer, Take, Taken, Waiting
-from rcp_offers.offered import Offered
+from rcp_offers.offered import Offered, Owner
 from rcp_offers.offers import Offers
 from rcp_offers.resources import OFFER, RESPOND, TAKE, control_resources
 
@@ -21,6 +21,7 @@ __all__ = [
     "Offer",
     "Offered",
     "Offers",
+    "Owner",
     "Report",
     "Take",
     "Taken",

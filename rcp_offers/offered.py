@@ -18,16 +18,20 @@ from rcp_protocol.errors import (
     RcpError,
 )
 
-__all__ = ["Offered"]
+__all__ = ["Offered", "Owner"]
 
 _CANCEL = 4.0  # s for the client to confirm a cancel: less than commands wait for it
+
+
+Owner = tuple[str, str] | None
+"""The identity of a principal: the same name, proved in another way, is somebody else."""
 
 
 class Offered:
     """What a client offers, while it does."""
 
     def __init__(
-        self, offer: Offer, owner: str, tell: Callable[[Waiting], None], most: int
+        self, offer: Offer, owner: Owner, tell: Callable[[Waiting], None], most: int
     ) -> None:
         """`tell` sends the client what waits; at most `most` calls do."""
         self.offer = offer

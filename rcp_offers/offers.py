@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from rcp_offers.call import Call
 from rcp_offers.messages import Answer, Offer, Take, Taken, Waiting
-from rcp_offers.offered import Offered
+from rcp_offers.offered import Offered, Owner
 from rcp_protocol.errors import AlreadyRunning, QueueFull, UnknownPath
 
 __all__ = ["Offers"]
@@ -25,7 +25,7 @@ class Offers:
 
     @contextmanager
     def offering(
-        self, offer: Offer, owner: str, tell: Callable[[Waiting], None]
+        self, offer: Offer, owner: Owner, tell: Callable[[Waiting], None]
     ) -> Generator[Offered]:
         """Offer something while entered.
 
@@ -56,7 +56,7 @@ class Offers:
         """Return what is offered under a name."""
         return self._known.get((kind, name))
 
-    def take(self, take: Take, owner: str) -> Taken:
+    def take(self, take: Take, owner: Owner) -> Taken:
         """Begin with a call, for the principal that offers it.
 
         :raises UnknownPath: there is no such call, or it has begun.
@@ -67,7 +67,7 @@ class Offers:
         offered.take(call)
         return Taken(call=call.id, name=offered.offer.name, input=call.input)
 
-    def respond(self, answer: Answer, owner: str) -> None:
+    def respond(self, answer: Answer, owner: Owner) -> None:
         """Pass on what the principal that offers it says of a call.
 
         :raises UnknownPath: there is no such call: it may have been cancelled, or timed out.
@@ -75,7 +75,7 @@ class Offers:
         offered, call = self._call(answer.call, owner)
         offered.settle(call, answer)
 
-    def _call(self, id_: str, owner: str) -> tuple[Offered, Call]:
+    def _call(self, id_: str, owner: Owner) -> tuple[Offered, Call]:
         for offered in self._known.values():
             call = offered.calls.get(id_)
             if call is not None and offered.owner == owner:

@@ -18,18 +18,16 @@ from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.errors import (
     BadRequest,
-    DeviceRejected,
     EstopActive,
     NotImplementedByRobot,
     PayloadTooLarge,
     RcpError,
-    Refused,
 )
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.safety import ANSWER, Deadman, is_safe
-from rcp_kernel.sessions.command import LinkLost
+from rcp_kernel.sessions.command import LinkLost, is_unchanged
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -52,8 +50,6 @@ DryRun = Callable[[Call], Mapping[str, Any]]
 
 MOST = 64
 """Paths in one write: all are checked, and checked again, in one turn of the event loop."""
-_UNCHANGED = (Refused, DeviceRejected)
-"""Errors that mean that the robot's state is unchanged."""
 _from_json = msgspec.json.Decoder(dict[str, Raw])
 _from_msgpack = msgspec.msgpack.Decoder(dict[str, Raw])
 
@@ -289,7 +285,7 @@ class AtomicWriteHandler:
         try:
             actual = await _write(backend, {c.entry.name: c.value for c in calls})
         except BaseException as error:
-            unchanged = isinstance(error, _UNCHANGED)
+            unchanged = is_unchanged(error)
             if unchanged:
                 for call in calls:
                     events.refused(call.entry, call.value)

@@ -10,12 +10,12 @@ from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.fence import permit
 from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.contract.requests import PreparedRequest
-from rcp_kernel.errors import DeviceRejected, EstopActive, RcpError, Refused
+from rcp_kernel.errors import EstopActive, RcpError
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
-from rcp_kernel.sessions.command import LinkLost
+from rcp_kernel.sessions.command import LinkLost, is_unchanged
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
@@ -33,9 +33,6 @@ from rcp_requests.request_events import RequestEvents
 from rcp_scheduling.turns import Turns
 
 __all__ = ["DryRun", "WriteHandler", "dry_run_reply"]
-
-_UNCHANGED = (Refused, DeviceRejected)
-"""Errors that mean that the robot's state is unchanged."""
 
 
 class WriteHandler:
@@ -163,9 +160,9 @@ class WriteHandler:
         try:
             actual = await backend.write(entry.name, value)
         except BaseException as error:
-            if isinstance(error, _UNCHANGED):
+            if is_unchanged(error):
                 events.refused(entry, value)
-            if superseded or (timer is not None and not isinstance(error, _UNCHANGED)):
+            if superseded or (timer is not None and not is_unchanged(error)):
                 deadman.arm(entry, 0)
             else:
                 deadman.disarm(entry, timer)

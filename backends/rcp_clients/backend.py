@@ -12,7 +12,18 @@ from rcp_clients.types import input_of, output_of
 from rcp_kernel.errors import PreconditionFailed, UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BaseBackend, Host, Progress, caller
-from rcp_offers import OFFER, RESPOND, TAKE, Answer, Offer, Offers, Take, Waiting, control_resources
+from rcp_offers import (
+    OFFER,
+    RESPOND,
+    TAKE,
+    Answer,
+    Offer,
+    Offers,
+    Owner,
+    Take,
+    Waiting,
+    control_resources,
+)
 
 __all__ = ["ClientsBackend", "open_clients"]
 
@@ -45,7 +56,7 @@ class ClientsBackend(BaseBackend):
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Offer something, begin with or answer a call, or call what is offered."""
         asked = caller()
-        owner = "" if asked is None else asked.principal.name
+        owner = None if asked is None else asked.principal.identity
         kind, _, rest = name.partition("/")
         rest = rest.removeprefix(self._place)
         if (kind, rest) == ("action", OFFER):
@@ -59,9 +70,9 @@ class ClientsBackend(BaseBackend):
             raise UnsupportedOperation(f"'{name}' is not offered")
         return await offered.call(value, progress)
 
-    async def _offer(self, offer: Offer, owner: str, progress: Progress) -> None:
+    async def _offer(self, offer: Offer, owner: Owner, progress: Progress) -> None:
         """Offer something until the command is cancelled, or its client has gone."""
-        resource = self._resource(offer, owner)
+        resource = self._resource(offer, "" if owner is None else owner[0])
 
         def tell(waiting: Waiting) -> None:
             progress(waiting)
@@ -80,10 +91,10 @@ class ClientsBackend(BaseBackend):
                 self._declared.discard(resource.name)
                 self._host.withdraw(resource.name)
 
-    def _resource(self, offer: Offer, owner: str) -> Resource:
+    def _resource(self, offer: Offer, by: str) -> Resource:
         service = offer.kind == "service"
-        meta = {"offered": {"name": "/" + offer.name.strip("/"), "type": offer.type, "by": owner}}
-        description = offer.description.strip() or f"{offer.name}, offered by the client {owner}."
+        meta = {"offered": {"name": "/" + offer.name.strip("/"), "type": offer.type, "by": by}}
+        description = offer.description.strip() or f"{offer.name}, offered by the client {by}."
         return Resource(
             name=f"{offer.kind}/{self._place}{offer.name.strip('/')}",
             description=description if description.endswith(".") else description + ".",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Coroutine, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from typing import Any
 
 import msgspec
@@ -55,7 +55,7 @@ from rcp_kernel.spi import (
 from rcp_kernel.wire import VERSION
 from rcp_protocol.trace import Trace, current_trace
 
-__all__ = ["RemoteGateway"]
+__all__ = ["RemoteGateway", "followed"]
 
 log = structlog.get_logger("rcp.fleet")
 _LONGEST_PAUSE = 1.0  # s between two attempts while the gateway is alive
@@ -122,6 +122,8 @@ class RemoteGateway:
             returned = self._returned
             self._returned = asyncio.get_running_loop().create_future()
             returned.set_result(None)
+            if not notice.facts.get("resumed"):
+                self._numbers.restarted()
         self._review()
 
     def _refused(self, reason: str) -> None:
@@ -350,7 +352,7 @@ class RemoteGateway:
                         idempotency_key=_key(asked),
                         on_feedback=feedback,
                     )
-                    return await _followed(begun)
+                    return await followed(begun)
             except ConnectionLost as error:
                 if not error.retryable:  # the gateway has forgotten it, and its key
                     raise
@@ -423,7 +425,7 @@ class RemoteGateway:
         await self.sessions.close()
 
 
-async def _followed(begun: Coroutine[Any, Any, CommandHandle]) -> Any:
+async def followed(begun: Coroutine[Any, Any, CommandHandle]) -> Any:
     """Return the result of a command; a cancellation ends with what the robot made of it."""
     starting = asyncio.ensure_future(begun)
     running: asyncio.Future[Any] | None = None
@@ -437,9 +439,11 @@ async def _followed(begun: Coroutine[Any, Any, CommandHandle]) -> Any:
     handle = await starting
     running = running or asyncio.ensure_future(handle.result())
     while not running.done():
-        with suppress(ConnectionLost, DeadlineExceeded):  # the link is cut: again
+        try:
             await handle.cancel()
             break
+        except (ConnectionLost, DeadlineExceeded):  # the link is cut, or the session closed: again
+            await asyncio.wait([running], timeout=_LONGEST_PAUSE)
     try:
         return await running
     except ConnectionLost as error:

@@ -29,13 +29,18 @@ class RobotStop:
         """The last state of the gateway's e-stop on the present link."""
         self._time = 0
         """When that was, ns by the robot's clock."""
+        self._overtaken = 0.0
+        """Until when updates may come that an answer has overtaken, by the loop's clock."""
         self._held = 0
         """Since when it is latched, if seen since the last request for a stop; 0: not seen."""
+        self._free = False
+        """Whether it was told to be free since the last request for a stop was sent."""
         client.channel.listeners.append(self._heard)
 
     def _heard(self, notice: Notice) -> None:
         if notice.code == "disconnected":
             self._told = None  # others may reset it meanwhile
+            self._overtaken = 0.0  # nor does the robot's clock have to go on where it was
 
     def motion(self) -> MotionState:
         """Report whether all that the gateway shows the hub is stopped, as it measures."""
@@ -54,7 +59,9 @@ class RobotStop:
     def ask(self) -> asyncio.Task[None]:
         """Send the stop within this call, unless one is on its way; return its answer."""
         self._held = 0  # a reset from before this stop must not undo it, whenever it is told
-        if self._asking is None or self._asking.done():
+        # One that was sent before a reset waits for a rest that nobody asks for any more.
+        if self._asking is None or self._asking.done() or self._free:
+            self._free = False
             body = {"reason": f"hub {self._hub}"}
             envelope = {"type": "execute", "path": ESTOP, "body": body, "deadline": _WAIT}
             call = self._client.channel.start(envelope, "always")
@@ -67,6 +74,7 @@ class RobotStop:
 
     def _take(self, reply: Reply) -> None:
         time = parse_time(reply.timestamp) if reply.timestamp is not None else self._time
+        self._overtaken = asyncio.get_running_loop().time() + _WAIT
         self._learn(reply.body, time)
 
     def _learn(self, told: dict[str, Any], time: int) -> None:
@@ -78,6 +86,7 @@ class RobotStop:
             late = (one for one in latched if one.get("state") != "confirmed")
             self._host.own_estop(self._robot, next(late, latched[0]))
             return
+        self._free = True
         reset = told.get("reset")  # not if its latch was lost with its gateway
         is_reset = bool(self._held and reset and parse_time(reset) > self._held)
         if is_reset:
@@ -99,8 +108,8 @@ class RobotStop:
     async def follow(self, path: str) -> AsyncIterator[object]:
         """Keep up with the gateway's e-stop, which others may set and reset."""
         async for update in self._client.subscribe(path):
-            time = parse_time(update.timestamp)
-            if time >= self._time:  # an answer overtakes updates
+            time, moment = parse_time(update.timestamp), asyncio.get_running_loop().time()
+            if time >= self._time or moment > self._overtaken:  # the robot's clock may be set back
                 self._learn(update.body, time)
             yield update
 

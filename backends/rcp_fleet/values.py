@@ -39,6 +39,10 @@ class RobotNumbers:
         self._known: dict[str, tuple[int, int, int]] = {}
         """By name: the last number and time of the robot, and what is added to its numbers."""
 
+    def restarted(self) -> None:
+        """Note that the gateway may have restarted, with whatever time its clock has now."""
+        self._known = {name: (last, -1, shift) for name, (last, _, shift) in self._known.items()}
+
     def of(self, name: str, seq: int, timestamp: int) -> int:
         """Return the number that a sample has here: the robot's own until it restarts."""
         last, time, shift = self._known.get(name, (0, 0, 0))

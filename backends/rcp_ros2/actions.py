@@ -47,6 +47,8 @@ class Run(Binding):
         self._fill = filler(action.Goal)
         self._goals: set[Goal] = set()
         self._node = ""
+        self.nodes: frozenset[str] = frozenset()
+        """The nodes that serve it."""
         result = Codec(action.Result, unit=mapping.unit)
         feedback = Codec(action.Feedback, unit=mapping.unit)
         self.read_result = reader(result) if fields_of(action.Result) else None
@@ -144,6 +146,7 @@ class Run(Binding):
         topic = f"{self.mapping.target}/_action/status"
         endpoints = self.shared.ros.node.get_publishers_info_by_topic(topic)
         named = [name for name in map(node_of, endpoints) if name is not None]
+        self.nodes = frozenset(named)
         if named:
             self._node = named[-1]
             self.shared.pulses.want(f"action {self.mapping.target}", named[-1:])
@@ -231,12 +234,30 @@ class Goal:
             raise self._run.late(f"the server of {self._name}")
         handle = self._accepted.result()
         if not handle.accepted:
+            await self._check_others()
             raise DeviceRejected(
                 f"the server of {self._name} rejected the goal",
                 remedy="Send a goal that the robot can reach from its current position.",
             )
         self._progress()  # the robot may move from now on: what fails later was not refused
         await self._ros.call(self._request_result, handle)
+
+    async def _check_others(self) -> None:
+        """Cancel the goal at other nodes that serve the action, if there are any.
+
+        :raises DeviceRejected: there are, and one of them may have begun with it.
+        """
+        await self._ros.call(self._run.servers)
+        nodes = sorted(self._run.nodes)
+        if len(nodes) <= 1:
+            return
+        self._abandon()
+        self._progress()
+        raise DeviceRejected(
+            f"a server of {self._name} rejected the goal, but {' and '.join(nodes)} serve it: "
+            "another one may have begun with it, and was told to cancel it",
+            remedy="Have one node serve the action.",
+        )
 
     async def _follow(self) -> Any:
         pause = _FIRST_POLL
@@ -329,9 +350,11 @@ class Goal:
             )
         handle = self._accepted.result()
         if not handle.accepted:
+            if len(self._run.nodes) > 1:
+                self._abandon()
             return False
         answer = Ticket(self._run.shared.host)
-        await self._ros.call(self._request_cancel, handle, answer)
+        self._ros.post(self._request_cancel, handle, answer)  # however late the thread comes to it
         end = time.monotonic() + _REST
         await answer.wait(_REST)
         if answer.done and _is_refused(answer.result()) and not await self._result.wait(_RACE):

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
 from rcp_ros2.link import RosLink
-from rcp_ros2.ros import Ticket
+from rcp_ros2.ros import Once, Ticket
 
 __all__ = ["Caller"]
 
@@ -63,22 +64,24 @@ class Caller:
 
     async def _request(self, request: Any, limit: float, admit: Callable[[], None] | None) -> Any:
         """Find the server and send the request in one visit to the ROS thread (0.1 ms)."""
-        ticket = Ticket(self._link.host)
+        ticket, once = Ticket(self._link.host), Once()
         sent: list[Any] = []
-        self._link.ros.submit(self._send, request, ticket, sent, admit or self._admit)
-        watch = _Watch(ticket, limit, self._fault)
+        self._link.ros.submit(self._send, request, ticket, once, sent, admit or self._admit)
+        watch = _Watch(ticket, limit, partial(self._fault, once))
         try:
             return await ticket.answer()
         except BaseException:  # nobody waits for what may still come
+            once.take()  # and what the thread has not come to is not sent any more
             self._link.ros.post(self._forget, sent)
             raise
         finally:
             watch.close()
 
-    def _fault(self, limit: float, left: float) -> Exception | None:
+    def _fault(self, once: Once, limit: float, left: float) -> Exception | None:
         """Return why a call with `left` of its `limit` seconds is not waited for any more."""
         if not self._link.graph.has(*self._presence):
-            return AdapterUnavailable(f"the node that offers {self._name} has disappeared")
+            gone = AdapterUnavailable(f"the node that offers {self._name} has disappeared")
+            return gone if once.take() else _unanswered(gone)
         if left <= 0:
             return DeviceTimeout(f"service {self._name} did not respond within {limit:g} s")
         return None
@@ -87,9 +90,12 @@ class Caller:
         self,
         request: Any,
         ticket: Ticket,
+        once: Once,
         sent: list[Any],
         admit: Callable[[], None] | None,
     ) -> None:
+        if not once.take():
+            return
         try:
             self.prepare()
             if admit is not None:
@@ -120,6 +126,13 @@ class Caller:
         if self._client is not None:
             self._link.ros.node.destroy_client(self._client)
             self._client = None
+
+
+def _unanswered(error: AdapterUnavailable) -> AdapterUnavailable:
+    """Mark an error of a request that its node may have begun with, so that it is no refusal."""
+    error.status, error.retryable = "failed", False
+    error.remedy = "Check the robot, which may have acted, before you call it again."
+    return error
 
 
 class _Watch:

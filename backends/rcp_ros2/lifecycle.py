@@ -245,6 +245,7 @@ class ChangeOf(Binding):
         response = await caller.call(request, self.shared.config.transition_timeout)
         after = await self._after(transition, succeeded=response.success)
         if not response.success:
+            progress()  # the node has tried
             raise DeviceRejected(
                 f"{self._node} failed to {transition}: it was {before} and is now {after.state}",
                 remedy="See the node's log for the reason.",

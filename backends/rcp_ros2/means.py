@@ -97,6 +97,7 @@ class StopCall:
         self._caller: Caller | None = None
         self._srv: Any = None
         self._running: asyncio.Task[None] | None = None
+        self._releasing: asyncio.Task[None] | None = None
 
     @property
     def type(self) -> str | None:
@@ -109,6 +110,8 @@ class StopCall:
         :raises RcpError: it cannot be reached, does not respond, or reports failure.
         """
         self.engaged = True
+        if self._releasing is not None:
+            self._releasing.cancel()  # if it is on its way, the stop follows it
         if self._running is None:
             self._running = asyncio.ensure_future(self._call(self._config.request))
             self._running.add_done_callback(self._end)
@@ -125,10 +128,21 @@ class StopCall:
         """Call the service with the release request, if configured."""
         engaged, self.engaged, self.done = self.engaged, False, False
         if engaged and self._config.released is not None:
-            task = asyncio.ensure_future(self._call(self._config.released))
+            task = asyncio.ensure_future(self._call_after(self._running, self._config.released))
             task.add_done_callback(self._released)
+            self._releasing = task
+
+    async def _call_after(
+        self, running: asyncio.Task[None] | None, request: dict[str, Any]
+    ) -> None:
+        """Call it when the call before has ended, or a stop would follow its release."""
+        if running is not None:
+            await asyncio.wait([running])
+        await self._call(request)
 
     def _released(self, task: asyncio.Task[None]) -> None:
+        if self._releasing is task:
+            self._releasing = None
         error = None if task.cancelled() else task.exception()
         text = None if error is None else f"{self.name} did not release the robot: {error}"
         self._link.trouble(f"stop service {self.name}", text)
@@ -159,8 +173,9 @@ class StopCall:
 
     def close(self) -> None:
         """Destroy the client."""
-        if self._running is not None:
-            self._running.cancel()
+        for task in (self._running, self._releasing):
+            if task is not None:
+                task.cancel()
         if self._caller is not None:
             self._caller.close()
 

@@ -306,7 +306,8 @@ class ActionServer:
         from rclpy.action.server import CancelResponse
 
         def cancel(goal: Any) -> Any:
-            self._link.host.call_soon(self._cancel, bytes(goal.goal_id.uuid))
+            with suppress(RuntimeError):  # the event loop has ended
+                self._link.host.call_soon(self._cancel, bytes(goal.goal_id.uuid))
             return CancelResponse.ACCEPT
 
         self._server = RosActionServer(
@@ -319,7 +320,13 @@ class ActionServer:
         )
 
     def _accepted(self, goal: Any) -> None:
-        self._link.host.call_soon(self._start, goal, self._read(goal.request))
+        try:
+            request = self._read(goal.request)
+        except Exception as error:  # it would end the executor, and every other server with it
+            self._execute(goal, (None, f"the goal cannot be read: {error}"))
+            return
+        with suppress(RuntimeError):  # the event loop has ended
+            self._link.host.call_soon(self._start, goal, request)
 
     def _start(self, goal: Any, request: Any) -> None:
         id_ = bytes(goal.goal_id.uuid)

@@ -7,7 +7,18 @@ from typing import Any
 
 from rcp_kernel.errors import AlreadyRunning, BadRequest, UnsupportedOperation
 from rcp_kernel.spi import Progress, caller
-from rcp_offers import OFFER, RESPOND, TAKE, Answer, Offer, Offers, Take, Waiting, control_resources
+from rcp_offers import (
+    OFFER,
+    RESPOND,
+    TAKE,
+    Answer,
+    Offer,
+    Offers,
+    Owner,
+    Take,
+    Waiting,
+    control_resources,
+)
 from rcp_ros2.idl import MissingType, load
 from rcp_ros2.link import RosLink
 from rcp_ros2.offer_servers import ActionServer, OfferNode, ServiceServer
@@ -37,7 +48,7 @@ class GraphOffers:
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
         """Offer something, or begin with or answer a call."""
         asked = caller()
-        owner = "" if asked is None else asked.principal.name
+        owner = None if asked is None else asked.principal.identity
         _, _, rest = name.partition("/")
         match rest.removeprefix(_PLACE), value:
             case (name, Offer()) if name == OFFER:
@@ -49,7 +60,7 @@ class GraphOffers:
             case _:
                 raise UnsupportedOperation(f"'{name}' cannot be executed")
 
-    async def _offer(self, offer: Offer, owner: str, progress: Progress) -> None:
+    async def _offer(self, offer: Offer, owner: Owner, progress: Progress) -> None:
         """Serve until the command is cancelled, or its client has gone."""
         if not offer.type:
             raise BadRequest(

@@ -23,7 +23,7 @@ from rcp_ros2.config import Ros2Config
 from rcp_ros2.middleware import check_middleware
 from rcp_ros2.shared_memory import remove_half_made
 
-__all__ = ["Ros", "Ticket", "contained", "one_argument", "open_ros"]
+__all__ = ["Once", "Ros", "Ticket", "contained", "one_argument", "open_ros"]
 
 log = structlog.get_logger("rcp.ros2")
 _START = 15.0  # s to import rclpy and create a node, on a slow machine
@@ -97,6 +97,21 @@ class Ticket:
         return self._future.result()
 
 
+class Once:
+    """Something that is either begun by the ROS thread or given up by the event loop."""
+
+    def __init__(self) -> None:
+        self._left = [None]
+
+    def take(self) -> bool:
+        """Return whether the caller is the first."""
+        try:
+            self._left.pop()  # atomic: both may come at the same time
+        except IndexError:
+            return False
+        return True
+
+
 class Ros:
     """The thread's interface for the event loop; only the thread uses `node` and `executor`."""
 
@@ -143,24 +158,29 @@ class Ros:
     async def call(self, function: Callable[..., Any], *args: Any) -> Any:
         """Run a function in the thread and return its result.
 
+        What the thread has not begun in time is never run: nobody would expect it any more.
+
         :raises DeviceTimeout: the thread did not run it in time.
         :raises AdapterUnavailable: the thread has ended.
         """
-        ticket = Ticket(self.host)
+        ticket, once = Ticket(self.host), Once()
 
         def run() -> None:
+            if not once.take():
+                return
             try:
                 ticket.give(function(*args))
             except BaseException as error:
                 ticket.fail(error)
 
         self.submit(run)
-        if not await ticket.wait(_PATIENCE):
-            raise DeviceTimeout(
-                f"the gateway's ROS 2 thread did not respond for {_PATIENCE:g} s",
-                remedy="Check the gateway's log and load; nothing was sent to the robot.",
-            )
-        return ticket.result()
+        if await ticket.wait(_PATIENCE):
+            return ticket.result()
+        what = "nothing was sent to the robot" if once.take() else "the robot may have acted"
+        raise DeviceTimeout(
+            f"the gateway's ROS 2 thread did not respond for {_PATIENCE:g} s",
+            remedy=f"Check the gateway's log and load; {what}.",
+        )
 
     def post(self, function: Callable[..., Any], *args: Any) -> None:
         """Run a function in the thread soon; its errors are logged.

@@ -15,6 +15,7 @@ from rcp_ros2.config import Qos
 from rcp_ros2.graph import GOALS
 from rcp_ros2.idl import load
 from rcp_ros2.link import RosLink
+from rcp_ros2.pulse import node_of
 from rcp_ros2.ros import one_argument
 from rcp_ros2.topics import Tap
 
@@ -61,6 +62,8 @@ class ActionServer:
         """Abandoned goals of the gateway, which must not continue."""
         self._servers: frozenset[bytes] = frozenset()
         """The publishers of the current statuses."""
+        self._several = False
+        """Whether these belong to several nodes, each of which tells of its own goals only."""
         codec = Codec(load(_STATUSES))
         self._tap = Tap(f"stop {name}", codec, taker=self._on_status)
         link.subscriptions.tap(f"{name}{GOALS}", load(_STATUSES), Qos(), self._tap)
@@ -131,7 +134,8 @@ class ActionServer:
         if goal not in self.goals:
             return
         if response.return_code in (_UNKNOWN, _TERMINATED):
-            del self.goals[goal]  # a restarted server does not know it
+            if not self._several:
+                del self.goals[goal]  # a restarted server does not know it
         elif goal not in {bytes(info.goal_id.uuid) for info in response.goals_canceling}:
             self.refused = self.goals[goal] != _CANCELING
 
@@ -141,9 +145,10 @@ class ActionServer:
         except Malformed:
             return
         found = {bytes(one.goal_info.goal_id.uuid): one.status for one in statuses}
-        self.goals = {goal: status for goal, status in found.items() if status in _ACTIVE}
-        self._abandoned -= found.keys() - self.goals.keys()
         self._servers = self._publishers()
+        known = {**self.goals, **found} if self._several else found
+        self.goals = {goal: status for goal, status in known.items() if status in _ACTIVE}
+        self._abandoned -= found.keys() - self.goals.keys()
         if not self.goals:
             self.refused = False
         self._end_abandoned()
@@ -152,6 +157,8 @@ class ActionServer:
 
     def _publishers(self) -> frozenset[bytes]:
         infos = self._link.ros.node.get_publishers_info_by_topic(f"{self.name}{GOALS}")
+        # A node that was restarted has its name twice, until the graph has noticed.
+        self._several = len({node_of(info) for info in infos} - {None}) > 1
         return frozenset(bytes(info.endpoint_gid) for info in infos)
 
     def close(self) -> None:

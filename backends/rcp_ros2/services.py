@@ -113,6 +113,8 @@ class Called(Binding):
         request = self._request() if value is None else self._fill(value)
         result = await self._caller.call(request, self.timeout)
         if getattr(result, "success", None) is False:
+            if self.is_barred:
+                progress()  # it may have begun to move before it failed
             raise _refusal(self.mapping.target, result)
         return result
 

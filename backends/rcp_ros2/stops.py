@@ -156,7 +156,7 @@ class Stops:
             await self.halt(robot)
             self._recovered |= meant
             return "held: all goals cancelled, safe values published"
-        await self._shared.ros.call(self._rest, meant)
+        self._shared.ros.post(self._rest, meant)  # however late the thread comes to it
         return "held: the gateway's own goals cancelled, safe values published"
 
     def _rest(self, robots: set[str | None]) -> None:

@@ -51,8 +51,8 @@ async def serving(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[di
     handler = Handler(
         client_api,
         receipts,
-        Agent(client_api, config.input_timeout, waiting),
         tasks,
+        Agent(client_api, config.input_timeout, waiting),
         cards.plain(),
         push_config_store=subscribers if config.push.enabled else None,
         push_sender=notifier if config.push.enabled else None,

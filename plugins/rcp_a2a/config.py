@@ -77,7 +77,8 @@ class A2aConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     tasks_size: Annotated[int, Meta(ge=1024)] = 33_554_432
     """Maximum bytes of tasks per principal and tenant; the oldest ended ones are dropped."""
     tasks: Annotated[int, Meta(ge=1)] = 1000
-    """Maximum number of tasks per principal and tenant; the oldest ended ones are dropped."""
+    """Maximum number of tasks per principal and tenant; the oldest ended ones are dropped. New ones are
+    refused while so many have not ended."""
     retention: Annotated[float, Meta(gt=0)] = 604_800.0
     """Time for which an ended task is kept."""
     input_timeout: Annotated[float, Meta(gt=0)] = 600.0

@@ -8,6 +8,7 @@ from inspect import unwrap
 from typing import Any
 from uuid import uuid4
 
+from a2a.server.agent_execution import AgentExecutor
 from a2a.server.context import ServerCallContext
 from a2a.server.request_handlers import DefaultRequestHandler
 from a2a.types.a2a_pb2 import (
@@ -33,7 +34,7 @@ from rcp_a2a.callers import NEW_TASK, caller_of, owner_of
 from rcp_a2a.masking import Mask
 from rcp_a2a.messages import check, check_fields
 from rcp_a2a.receipts import Receipts
-from rcp_a2a.tasks import ENDED, WAITING
+from rcp_a2a.tasks import ENDED, WAITING, Tasks
 from rcp_gateway.client_api import ClientApi
 
 __all__ = ["Handler"]
@@ -54,11 +55,18 @@ class Handler(DefaultRequestHandler):
     """Checks messages before a task is created; hides from tasks what the caller may not see."""
 
     def __init__(
-        self, client_api: ClientApi, receipts: Receipts, *args: Any, **options: Any
+        self,
+        client_api: ClientApi,
+        receipts: Receipts,
+        tasks: Tasks,
+        agent: AgentExecutor,
+        *args: Any,
+        **options: Any,
     ) -> None:
-        super().__init__(*args, **options)
+        super().__init__(agent, tasks, *args, **options)
         self._client_api = client_api
         self._receipts = receipts
+        self._tasks = tasks
 
     async def _repeated(self, params: SendMessageRequest, context: ServerCallContext) -> str | None:
         """Check a message's form; return the task that it made, if it was received before."""
@@ -116,6 +124,11 @@ class Handler(DefaultRequestHandler):
                 raise UnsupportedOperationError(
                     "the task is running and takes no messages: cancel it, or wait until it ends"
                 )
+        elif self._tasks.is_full(owner_of(context)) and not caller_of(context).stops:
+            raise UnsupportedOperationError(
+                "too many of your tasks have not ended: answer or cancel some of them first",
+                {"code": "queue_full"},
+            )
         wants = params.configuration.HasField("task_push_notification_config")
         if wants and self._push_config_store is None:
             raise PushNotificationNotSupportedError

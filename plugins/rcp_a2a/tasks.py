@@ -95,6 +95,13 @@ class Tasks(InMemoryTaskStore):
         """Return whether an owner has a task."""
         return task_id in self._owners.get(owner, {})
 
+    def is_full(self, owner: str) -> bool:
+        """Return whether an owner has as many tasks that have not ended as may be kept."""
+        known = self._owners.get(owner, {})
+        if len(known) < self._most:
+            return False
+        return sum(task.status.state not in ENDED for task in known.values()) >= self._most
+
     async def save(self, task: Task, context: ServerCallContext) -> None:
         """Save a task in its present state."""
         owner = owner_of(context)

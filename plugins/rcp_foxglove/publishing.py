@@ -134,22 +134,26 @@ class Publishing:
                 self._requests, channel.facts.encoding, payload, target.native
             )
             await self._leases.keep(target.path)
-            if window is not None:
-                window -= self._now() - received
-                if window <= 0:
-                    channel.skipped += 1
-                    return
-            request = Request(
-                type="write", path=target.path, body=body, encoding=encoding, valid_for=window
-            )
-            reply = await self._requests.request(request)
-            if _lacks_lease(reply) and self._leases.may_acquire(target.path):
+            request = Request(type="write", path=target.path, body=body, encoding=encoding)
+            reply = await self._sent(request, window, received)
+            if reply is not None and _lacks_lease(reply) and self._leases.may_acquire(target.path):
                 refusal = await self._leases.acquire(target.path)
-                reply = refusal or await self._requests.request(request)
+                reply = refusal or await self._sent(request, window, received)
         except RcpError as error:
             self._statuses.show(channel.status, f"{channel.facts.topic}: {refusal_text(error)}")
             return
-        self._show(channel, reply)
+        if reply is None:
+            channel.skipped += 1
+        else:
+            self._show(channel, reply)
+
+    async def _sent(self, request: Request, window: float | None, received: float) -> Reply | None:
+        """Send a write; None: what it commands has waited too long to act any longer."""
+        if window is not None:
+            request.valid_for = window - (self._now() - received)
+            if request.valid_for <= 0:
+                return None
+        return await self._requests.request(request)
 
     def _now(self) -> float:
         return self._requests.client_api.loop.time()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping
+from hashlib import blake2b
 from itertools import chain, count
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
@@ -24,6 +25,7 @@ from rcp_kernel.model import NativeType, Pattern, tenant_of
 __all__ = ["ESTOP", "Replay", "View", "Views"]
 
 _PAGE = 10  # resources read per step
+_KEPT = 100_000  # numbers of channels and services, also of those that are gone
 ESTOP = "/system/estop"
 _MARKS = {"number": "float64"}
 _PARTS = {"state": "subscribe", "control": "execute"}
@@ -73,7 +75,8 @@ class Views:
         self._client_api = client_api
         self._views: WeakKeyDictionary[Rights, dict[str | None, View]] = WeakKeyDictionary()
         self._reading = SharedWork[View](client_api.loop)
-        self._numbers: dict[tuple[str, ...], int] = {}
+        self._numbers: dict[bytes, int] = {}
+        """By what they stand for, the ones used last at the end."""
         self._next = count(1)
 
     def is_current(self, session: Session, view: View) -> bool:
@@ -96,9 +99,11 @@ class Views:
         return await self._reading.result(key, lambda: turns.finish(owner, self._read(session)))
 
     def _number(self, facts: tuple[str, ...]) -> int:
-        number = self._numbers.get(facts)
-        if number is None:
-            number = self._numbers[facts] = next(self._next)
+        key = blake2b("\0".join(facts).encode(), digest_size=16).digest()
+        number = self._numbers.pop(key, None) or next(self._next)
+        self._numbers[key] = number
+        if len(self._numbers) > _KEPT:  # whoever comes back later has another one
+            del self._numbers[next(iter(self._numbers))]
         return number
 
     def _read(self, session: Session) -> Generator[None, None, View]:

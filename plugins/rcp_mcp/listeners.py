@@ -15,6 +15,7 @@ from typing import Any
 import structlog
 from mcp import types
 from mcp.server.subscriptions import ListenHandler
+from mcp.shared.exceptions import MCPError
 from mcp.shared.subscriptions import (
     ResourcesListChanged,
     ResourceUpdated,
@@ -37,6 +38,8 @@ log = structlog.get_logger("rcp.mcp")
 _LOOK = 0.25  # s between checks of the tree
 _RATE = 1.0  # Hz, maximum rate of notifications per resource
 _BACKLOG = 256  # events
+_MOST = 1000  # resources of one listener, which need not exist
+_LONGEST = 2048  # characters of a URI
 Emit = Callable[[ServerEvent], None]
 Open = Callable[[Emit], Callable[[], None]]
 
@@ -142,6 +145,7 @@ class ListenerRegistry:
         """Serve `subscriptions/listen` until the client leaves."""
         session = session_of(ctx)
         uris = frozenset(params.notifications.resource_subscriptions or ())
+        _check(uris)
 
         def open_(deliver: Emit) -> Callable[[], None]:
             key = object()
@@ -177,7 +181,12 @@ class ListenerRegistry:
     async def subscribe(
         self, ctx: Context, params: types.SubscribeRequestParams
     ) -> types.EmptyResult:
-        """Serve `resources/subscribe`; hidden resources are treated like unknown ones."""
+        """Serve `resources/subscribe`; hidden resources are treated like unknown ones.
+
+        :raises MCPError: the client has too many.
+        """
+        ear = self._ears.get(ctx.session._connection)  # noqa: SLF001  # pyright: ignore[reportPrivateUsage] - as above
+        _check((ear.uris if ear is not None else frozenset()) | {params.uri})
         self._change(ctx, add=params.uri)
         return types.EmptyResult()
 
@@ -221,6 +230,19 @@ class ListenerRegistry:
             sender.cancel()
         for key in list(self._ears):
             self._remove(key)
+
+
+def _check(uris: frozenset[str]) -> None:
+    """Check what a client listens to.
+
+    :raises MCPError: it is too much.
+    """
+    if len(uris) > _MOST:
+        text = f"a client listens to at most {_MOST} resources: unsubscribe from some first"
+        raise MCPError(types.INVALID_PARAMS, text)
+    if any(len(uri) > _LONGEST for uri in uris):
+        text = f"a URI has at most {_LONGEST} characters"
+        raise MCPError(types.INVALID_PARAMS, text)
 
 
 async def _send(connection: Any, next_: Callable[[], Awaitable[ServerEvent]]) -> None:

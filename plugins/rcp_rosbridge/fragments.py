@@ -14,7 +14,7 @@ from rcp_rosbridge.operations import Fragment
 __all__ = ["Assembly", "split"]
 
 _TRANSFERS = 16  # incomplete messages of one client
-_PARTS = 65_536  # fragments of one message
+_PARTS = 65_536  # fragments of one message, and of all that are incomplete
 _LEAST = 64  # bytes of a fragment: a client that asks for less would get more heads than text
 _numbers = itertools.count(1)
 
@@ -70,7 +70,7 @@ class Assembly:
 
         :raises BadRequest: it does not fit the others, or makes no sense.
         :raises PayloadTooLarge: the message has more than `limit` characters, or too many fragments.
-        :raises QueueFull: there are too many incomplete messages.
+        :raises QueueFull: there are too many incomplete messages, or fragments of them.
         """
         id_ = None if fragment.id_ is None else str(fragment.id_)
         num, total = int(fragment.num), int(fragment.total)
@@ -91,6 +91,9 @@ class Assembly:
         if num in transfer.parts:
             self._drop(id_)
             raise BadRequest(f"fragment {num} of '{id_}' came twice; the message was dropped")
+        if sum(len(each.parts) for each in self._transfers.values()) >= _PARTS:
+            self._drop(id_)
+            raise QueueFull(f"the incomplete messages have {_PARTS} fragments already")
         if self.held + len(fragment.data) > limit:
             self._drop(id_)
             raise PayloadTooLarge(f"the fragments have more than {limit} characters together")

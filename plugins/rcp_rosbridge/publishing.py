@@ -144,20 +144,24 @@ class Publishing:
             self._failed(op.topic, id_, error)
             self._next(outlet, target)
             return
-        if request.valid_for is not None:  # a velocity that has waited must not act any longer
-            request.valid_for -= self._now() - received
-            if request.valid_for <= 0:
-                self._skipped(op.topic)
-                self._next(outlet, target)
-                return
+        window = request.valid_for
+
+        def send(*, first: bool) -> None:
+            if window is not None:  # a velocity that has waited must not act any longer
+                request.valid_for = window - (self._now() - received)
+                if request.valid_for <= 0:
+                    self._skipped(op.topic)
+                    self._next(outlet, target)
+                    return
+            self._context.request(request, lambda reply: answer(reply, first=first))
 
         def again(refusal: Reply | None) -> None:
             if refusal is None:
-                self._context.request(request, lambda reply: answer(reply, first=False))
+                send(first=False)
             else:
                 answer(refusal, first=False)
 
-        def answer(reply: Reply, *, first: bool = True) -> None:
+        def answer(reply: Reply, *, first: bool) -> None:
             if reply.error is not None:
                 if first and self._leases.may_help(target.path, reply.error["code"]):
                     self._leases.acquire(target.path, again)
@@ -168,7 +172,7 @@ class Publishing:
                 self._next(outlet, target)
 
         self._leases.keep(target.path)
-        self._context.request(request, answer)
+        send(first=True)
 
     def _request(self, op: Publish, topic: RosTopic, target: Target) -> Request:
         body = modern(op.msg, topic.schema, has_bytes=topic.has_bytes)

@@ -132,6 +132,12 @@ class Robot:
                     for action in given.actions:
                         self._take_instant(action)
 
+    def refuse_kept(self, topic: str) -> None:
+        """Refuse a message that the broker kept for whoever comes: nobody knows how old it is."""
+        text = f"{topic}: the message was kept by the broker, so that it is not carried out"
+        hint = "Publish it without the flag `retain`, and clear the one that is kept."
+        self.work.refuse(Fault("malformed", text, (("topic", topic),), hint))
+
     def _answered(self, answers: Responses) -> None:
         for each in answers.responses:
             reason = self.work.zones.releases.answer(each)
@@ -176,11 +182,11 @@ class Robot:
             self._config.manufacturer,
             self._config.serial,
         ):
-            text = f"the message is for {message.manufacturer} {message.serial_number}"
+            text = f"the message is for {message.manufacturer[:64]} {message.serial_number[:64]}"
             self.work.refuse(Fault("malformed", text))
             return None
         if message.version.partition(".")[0] != self._config.version[0]:
-            text = f"version {message.version} is not {self._config.version}"
+            text = f"version {message.version[:64]} is not {self._config.version}"
             self.work.refuse(Fault("malformed", text))
             return None
         return message
@@ -272,6 +278,8 @@ class Robot:
 
     async def _look(self) -> None:
         reply = await self._link.send("read", _ROBOTS, None).result()
+        if reply["status"] != "completed":
+            return  # as far as is known, nothing has changed
         listed: list[dict[str, Any]] = reply.get("body") or []
         scope = self._config.robot
         stopped = any(

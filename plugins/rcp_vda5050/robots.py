@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import ssl
+import threading
 from collections.abc import AsyncGenerator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from typing import Any
@@ -32,10 +33,13 @@ _SOON, _LATE = 1, 10  # s until the broker is tried again, at first and at last
 _KEEPALIVE = 10  # s
 _FAREWELL = 2.0  # s for the last message to arrive
 _QUEUED = 1000  # messages that wait for the event loop
+_BYTES = 16 << 20  # of these together
 _TOPICS = {
     "2.1": ("order", "instantActions"),
     "3.0": ("order", "instantActions", "zoneSet", "responses"),
 }
+_AT_ONCE = frozenset({"order", "instantActions", "responses"})
+"""Topics whose messages are carried out when they come: one that the broker has kept may be of yesterday."""
 
 
 class Client:
@@ -57,7 +61,8 @@ class Client:
         self._broken = "CONNECTIONBROKEN" if major == "2" else "CONNECTION_BROKEN"
         self.robot = Robot(robot, client_api, config.visualization, self._publish, shelf, fetch)
         self.online = False
-        self._waiting = 0
+        self._waiting = self._bytes = 0
+        self._counting = threading.Lock()
         self._mqtt = Mqtt(
             CallbackAPIVersion.VERSION2, client_id=f"rcp-{robot.manufacturer}-{robot.serial}"
         )
@@ -107,9 +112,15 @@ class Client:
         self._soon(self._reached)
 
     def _received(self, _client: Mqtt, _userdata: Any, message: MQTTMessage) -> None:
-        if self._waiting < _QUEUED:
-            self._waiting += 1
-            self._soon(self._take, message.topic.rpartition("/")[2], bytes(message.payload))
+        size, topic = len(message.payload), message.topic.rpartition("/")[2]
+        if message.retain and topic in _AT_ONCE:
+            self._soon(self.robot.refuse_kept, topic)
+            return
+        with self._counting:
+            if self._waiting >= _QUEUED or self._bytes + size > _BYTES:
+                return
+            self._waiting, self._bytes = self._waiting + 1, self._bytes + size
+        self._soon(self._take, topic, bytes(message.payload))
 
     # In the event loop
 
@@ -125,7 +136,8 @@ class Client:
         log.warning("broker_lost", broker=self._config.broker, topic=self._base, reason=why)
 
     def _take(self, topic: str, payload: bytes) -> None:
-        self._waiting -= 1
+        with self._counting:
+            self._waiting, self._bytes = self._waiting - 1, self._bytes - len(payload)
         try:
             self.robot.take(topic, payload)
         except Exception:  # of one message: the next one may be to cancel

@@ -42,6 +42,7 @@ __all__ = [
     "Record",
     "Work",
     "has_begun",
+    "is_unchanged",
     "outcome_of",
     "status_of",
 ]
@@ -330,11 +331,22 @@ def has_begun(command: Command) -> bool:
     return any(step.status == "in_progress" for step in command.history)
 
 
+def is_unchanged(error: BaseException) -> bool:
+    """Return whether an error means that the state of the robot is unchanged.
+
+    One that has the status `failed` is a refusal by its code only: its robot may have acted.
+    """
+    if isinstance(error, Refused):
+        return error.status != "failed"
+    return isinstance(error, DeviceRejected)
+
+
 def status_of(command: Command, error: RcpError) -> Status:
     """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
     if isinstance(error, Cancelled):
         return "cancelled"
-    refused = isinstance(error, (DeviceRejected, Refused)) and not isinstance(error, LinkLost)
+    # What a robot's own gateway calls `failed` had begun there, whatever was told of it here.
+    refused = is_unchanged(error) and vars(error).get("status") != "failed"
     # A cancel that fails is no refusal: the robot may have begun, and may go on.
     return (
         "rejected"

@@ -154,6 +154,9 @@ def test_numbers_go_on_when_a_robot_begins_anew() -> None:
     assert numbers.of("a", 5, 5) == 5  # the same sample on another way
     assert [numbers.of("a", seq, 100 + seq) for seq in (1, 2)] == [7, 8]
     assert numbers.of("b", 3, 1) == 3
+    numbers.restarted()  # with a clock that is behind the one before
+    assert [numbers.of("a", seq, seq) for seq in (1, 2, 2)] == [9, 10, 10]
+    assert numbers.of("b", 4, 0) == 4
 
 
 def test_a_value_of_a_robot_is_one_that_the_kernel_passes_on() -> None:

@@ -50,6 +50,7 @@ class Peer(Node):
         self.on = False
         self.twist = Twist()
         self.running = 0
+        self.began = 0
         self.result: list[int] = []
         self.sources()
         self.sinks()
@@ -76,7 +77,7 @@ class Peer(Node):
         self.create_service(Trigger, "/reset", self.reset, **offer)
         self.create_service(SetBool, "/set_bool", self.set_bool, **offer)
         self.create_service(BasicTypes, "/add", self.add, **offer)
-        self.create_service(Trigger, "/slow", self.slow, **offer)
+        self.slow_service = self.create_service(Trigger, "/slow", self.slow, **offer)
         self.create_service(Empty, "/fault", self.fault, **offer)
         self.fibonacci = ActionServer(
             self,
@@ -167,11 +168,15 @@ class Peer(Node):
         return response
 
     def admit(self, goal: Fibonacci.Goal) -> GoalResponse:
-        return GoalResponse.REJECT if goal.order < 0 else GoalResponse.ACCEPT
+        name = self.get_name()
+        if name == "late":
+            time.sleep(0.5)  # until the other server of the action has rejected it
+        return GoalResponse.REJECT if goal.order < 0 or name == "strict" else GoalResponse.ACCEPT
 
     def compute(self, goal: object) -> Fibonacci.Result:
         """Order 0 aborts; 100 ms a number."""
         self.running += 1
+        self.began += 1
         try:
             return self.count_up(goal)
         finally:
@@ -203,6 +208,7 @@ class Peer(Node):
                 "angular": {"x": angular.x, "y": angular.y, "z": angular.z},
             },
             "running": self.running,
+            "began": self.began,
             "result": self.result,
             **{name: self.get_parameter(name).value for name in ("max_speed", "gear", "mode")},
         }
@@ -219,6 +225,8 @@ def main() -> None:
     for line in sys.stdin:
         if line.startswith("refuse "):
             peer.refused = line.split(" ", 1)[1].strip()
+        if line == "withdraw\n":
+            peer.destroy_service(peer.slow_service)
         print(json.dumps(peer.truth()), flush=True)  # noqa: T201
     executor.shutdown(timeout_sec=1)
     spinning.join(2)

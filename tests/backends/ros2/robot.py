@@ -245,6 +245,10 @@ class Peer:
         """Have it refuse a parameter from now on; an empty name ends that."""
         self._ask(f"refuse {parameter}")
 
+    def withdraw(self) -> None:
+        """Have it offer its slow service no more."""
+        self._ask("withdraw")
+
     def _ask(self, line: str) -> Any:
         assert self._process is not None
         assert self._process.stdin is not None

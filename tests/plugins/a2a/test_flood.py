@@ -76,3 +76,16 @@ async def test_a_task_that_is_longer_than_a_page_is_told_all_the_same(tmp_path: 
         page = await tasks.list(ListTasksRequest(), ada)
         assert [task.id for task in page.tasks] == ["long"]
         assert not page.next_page_token
+
+
+async def test_tasks_that_wait_for_ever_are_not_gathered_without_end() -> None:
+    async with agent("tasks = 2") as site, caller(site) as client:
+        for _ in range(2):
+            waits = await sent(client, text("execute /service/add"))
+            assert state(waits) == "INPUT_REQUIRED"
+        refused = await rpc(client, "SendMessage", **text("read /sensor/pose"))
+        assert "answer or cancel some of them first" in refused["error"]["message"]
+        stop = await sent(client, text("execute /system/estop"))
+        assert state(stop) == "COMPLETED"
+        await rpc(client, "CancelTask", id=waits["id"])
+        assert state(await sent(client, text("read /sensor/pose"))) == "COMPLETED"

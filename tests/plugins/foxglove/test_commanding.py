@@ -13,6 +13,7 @@ import pytest
 from configuration import key, role, rule, table
 from plugins.foxglove.rig import ADMIN, OPERATOR, WATCHER, Site, site
 from plugins.foxglove.viewer import BOUND, Viewer, viewing
+from rcp_foxglove.leases import Leases
 from rcp_gateway.testing import eventually
 from rcp_kernel.model import Resource
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Twist, quantity
@@ -149,6 +150,28 @@ async def test_a_lease_is_acquired_where_one_is_required_and_released_at_the_end
             return Twist(LinearVelocity(0.1)) in [value for _, value in made.robot.writes]
 
         await eventually(taken, "the second viewer drives")
+
+
+async def test_a_velocity_that_waited_for_its_lease_too_long_is_not_driven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As that of a robot with a gateway of its own, which is asked over a slow link."""
+    usual, asked = Leases.acquire, asyncio.Event()
+
+    async def slow(self: Leases, path: str) -> Any:
+        await asyncio.sleep(0.6)  # longer than the velocity is valid
+        asked.set()
+        return await usual(self, path)
+
+    monkeypatch.setattr(Leases, "acquire", slow)
+    async with site(more=LEASED) as made, viewing(made.url, OPERATOR) as viewer:
+        await advertised(viewer)
+        await viewer.publish(3, AHEAD)
+        async with asyncio.timeout(BOUND):
+            await asked.wait()
+        await viewer.publish(3, {"linear": {"x": 0.1}})
+        assert await written(made)
+        assert Twist(LinearVelocity(0.5)) not in [value for _, value in made.robot.writes]
 
 
 async def test_a_lease_that_a_person_takes_is_not_taken_back() -> None:

@@ -251,6 +251,25 @@ async def test_an_older_client_hears_of_changes_and_values_too(
         assert await telling == ["resources/updated"]
 
 
+async def test_no_client_listens_to_resources_without_end(
+    older: Callable[[], Older], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_mcp.listeners._MOST", 2)
+    client = older()
+    await client.open()
+
+    async def listening(uri: str) -> str:
+        call = {"id": 2, "method": "resources/subscribe", "params": {"uri": uri}}
+        return (await client.post(call)).text
+
+    for name in "ab":
+        assert "error" not in await listening(f"rcp://alpha/sensor/{name}")
+    assert "error" not in await listening("rcp://alpha/sensor/a")  # it does already
+    assert "unsubscribe from some first" in await listening("rcp://alpha/sensor/c")
+    monkeypatch.undo()
+    assert "at most 2048 characters" in await listening("rcp://" + "x" * 5000)
+
+
 async def test_a_session_reads_on_after_a_cut_and_no_other_reads_that(
     gateway: Site, older: Callable[[], Older]
 ) -> None:

@@ -109,6 +109,16 @@ async def test_fragments_in_any_order_make_a_message(client: Page) -> None:
     assert (await client.op("service_response", id="f"))["result"]
 
 
+async def test_fragments_without_text_are_not_gathered_without_end(
+    client: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_rosbridge.fragments._PARTS", 4)
+    for id_ in "xyz":
+        for num in range(2):
+            await client.send(op="fragment", id=id_, data="", num=num, total=3)
+    await client.status("have 4 fragments already")
+
+
 async def test_fragments_that_contradict_each_other_are_told(client: Page) -> None:
     await client.send(op="fragment", id="x", data="a", num=0, total=3)
     await client.send(op="fragment", id="x", data="a", num=0, total=3)

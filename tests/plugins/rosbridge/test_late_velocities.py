@@ -8,12 +8,14 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import msgspec
+import pytest
 
 from configuration import backend
-from plugins.rosbridge.rig import OPEN, page, site
+from plugins.rosbridge.rig import OPEN, ROVER, page, site
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host
 from rcp_kernel.types import Twist
+from rcp_rosbridge.leases import Leases
 
 
 class _NoOptions(msgspec.Struct):
@@ -68,3 +70,29 @@ async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
         async with asyncio.timeout(10):
             await robot.begun.wait()
         assert robot.taken == [0.1, 0.3]
+
+
+async def test_a_velocity_that_waited_for_its_lease_too_long_is_not_driven(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As that of a robot with a gateway of its own, which is asked over a slow link."""
+    usual = Leases.acquire
+
+    def slow(self: Leases, path: str, then: Any) -> None:
+        asyncio.get_running_loop().call_later(0.3, usual, self, path, then)
+
+    monkeypatch.setattr(Leases, "acquire", slow)
+    safety = '[safety]\nlease_required = ["/actuator/**"]\n'
+    async with (
+        site(OPEN, ROVER, limits=safety, valid_for=0.2) as gateway,
+        page(gateway) as client,
+    ):
+        await client.send(op="subscribe", topic="/velocity")
+        drive = {"op": "publish", "topic": "/cmd_vel", "msg": {"linear": {"x": 0.4}}}
+        await client.send(**drive)
+        await client.status("messages on /cmd_vel come faster")
+        assert (await client.message("/velocity"))["twist"]["linear"]["x"] == 0.0
+        await client.send(**drive)  # under the lease that it has now
+        await client.until(
+            lambda m: m.get("topic") == "/velocity" and m["msg"]["twist"]["linear"]["x"] > 0.01
+        )

@@ -287,3 +287,23 @@ def test_no_client_takes_the_name_of_a_robots_own_service() -> None:
     found = graph.service("/stop")
     assert found is not None
     assert found.path == robots["path"]
+
+
+async def test_a_call_is_answered_by_nobody_else_of_the_same_name() -> None:
+    namesake = key("anonymous", GUEST, role="operator")
+    async with (
+        site(OPEN, ROVER, OFFERS, namesake, kinds=(CLIENTS,)) as gateway,
+        page(gateway) as provider,
+        page(gateway) as caller,
+        page(gateway, GUEST) as other,
+    ):
+        await offer(provider, caller)
+        calling = asyncio.create_task(caller.call(ADD, {"a": 1}))
+        call = await provider.op("call_service", service=ADD)
+        answer = {"call": call["id"], "output": {"sum": 0}}
+        refused = await other.call("/tenant/alpha/service/clients/respond", answer)
+        assert refused["result"] is False
+        assert "has ended" in refused["values"]
+        right = {"op": "service_response", "service": ADD, "id": call["id"], "result": True}
+        await provider.send(**right, values={"sum": 3})
+        assert (await calling)["values"] == {"sum": 3}

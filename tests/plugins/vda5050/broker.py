@@ -131,14 +131,17 @@ class Master:
                     heard.append(json.loads(message.payload))
                     self._news.notify_all()
 
-    async def send(self, serial: str, topic: str, **body: Any) -> None:
-        """Send a message with a header."""
-        await self.send_raw(serial, topic, json.dumps(self.header(serial) | body).encode())
+    async def send(self, serial: str, topic: str, *, kept: bool = False, **body: Any) -> None:
+        """Send a message with a header; one that is `kept` is there for who subscribes later, too."""
+        payload = json.dumps(self.header(serial) | body).encode()
+        await self.send_raw(serial, topic, payload, kept=kept)
 
-    async def send_raw(self, serial: str, topic: str, payload: bytes) -> None:
+    async def send_raw(
+        self, serial: str, topic: str, payload: bytes, *, kept: bool = False
+    ) -> None:
         """Send anything."""
         base = f"uagv/v{self._version[0]}/acme/{serial}"
-        await self._client.publish(f"{base}/{topic}", payload, qos=1)
+        await self._client.publish(f"{base}/{topic}", payload, qos=1, retain=kept)
 
     def header(self, serial: str) -> dict[str, Any]:
         """Return a header."""

@@ -493,3 +493,13 @@ async def commands(it: Depot) -> list[dict[str, Any]]:
     reply = await it.admin.request("read", "/system/commands")
     assert reply["status"] == "completed", reply
     return reply["body"]
+
+
+async def test_what_the_broker_has_kept_is_not_carried_out(tmp_path: Path) -> None:
+    async with depot(tmp_path) as it:
+        it.cable.cut()
+        await it.master.send("r1", "order", kept=True, **near(order("of-yesterday")))
+        told = await it.master.until("r1", lambda state: state["errors"])
+        assert told["errors"][-1]["errorType"] == "validationError"
+        assert "kept by the broker" in told["errors"][-1]["errorDescription"]
+        assert told["orderId"] == ""
