@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from rcp_can.asking import answer_to
 from rcp_can.bus import Bus, Route
 from rcp_can.codec import Field, Layout
-from rcp_can.drive import Drive, Profile, Protection, StopFrame
+from rcp_can.drive import KEPT, Drive, Profile, Protection, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_can.node_change import node_procedure
 from rcp_can.procedure import Procedure
@@ -199,7 +199,8 @@ class VescDrive(Drive):
 
         def send() -> None:
             check_fence()
-            self.bus.send_together(frames(payload, to=to, sender=host), sender=self)
+            parts = frames(payload, to=to, sender=host)
+            self.bus.send_together(parts, lifetime=KEPT, sender=self)
 
         route = Route(host, 0xFF, extended=True)
         await answer_to(self.bus, (route,), send, matches, seconds=seconds, once=once)
