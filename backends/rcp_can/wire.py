@@ -227,7 +227,7 @@ class Wire:
                 self.interface.send(message, timeout=_SEND)
             except Exception as error:
                 full = getattr(error, "error_code", None) == errno.ENOBUFS
-                if not full or self._closing or time.monotonic() > end:
+                if not full or time.monotonic() > end:
                     raise
             else:
                 return True
