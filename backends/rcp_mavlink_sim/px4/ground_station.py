@@ -34,6 +34,9 @@ class _Transfer(Transfer):
     def _is_home(self, message: Any) -> bool:
         return False
 
+    def _answer_unexpected(self, send: Callable[[Any], None]) -> None:
+        """Ignore it."""
+
     def _wrong(self, message: Any) -> int | None:
         """Return why an item is refused, as MAV_MISSION_RESULT; parameters may be NaN."""
         if message.frame not in _FRAMES:
@@ -52,6 +55,12 @@ class Px4GroundStation(GroundStation):
     """One connection of a ground station."""
 
     transfer = _Transfer
+
+    def _without_transfer(self, message: Any) -> int:
+        """Accept the last item again: the answer to it was lost."""
+        done = self._done
+        is_known = done is not None and done.is_last(message)
+        return mav.MAV_MISSION_ACCEPTED if is_known else mav.MAV_MISSION_ERROR
 
     def __init__(self, vehicle: Vehicle, send_bytes: Callable[[bytes], None]) -> None:
         super().__init__(vehicle, send_bytes)
