@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
@@ -113,6 +113,12 @@ class Hub:
         if vehicle.routes:
             link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
             link.send(self._packed(link, message), address)
+
+    def is_target(self, fields: Mapping[str, Any]) -> bool:
+        """Return whether a message is for this gateway, or for everybody: not for another ground station."""
+        config = self.config
+        own = {"target_system": config.source_system, "target_component": config.source_component}
+        return all(fields.get(field, 0) in (0, number) for field, number in own.items())
 
     def forward(self, vehicle: Vehicle, frame: Frame) -> None:
         """Send a frame of somebody else to a vehicle, signed with `key` if there is one."""

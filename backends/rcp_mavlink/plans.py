@@ -221,12 +221,11 @@ class Plans:
     @contextmanager
     def _following(self, *names: str) -> Generator[_Received]:
         """Collect messages that the vehicle sends to this gateway, while entered."""
-        config, received = self._hub.config, _Received()
-        own = {"target_system": config.source_system, "target_component": config.source_component}
+        received = _Received()
 
         def take(frame: Frame) -> None:
             fields = frame.fields()
-            if all(fields.get(field, 0) in (0, number) for field, number in own.items()):
+            if self._hub.is_target(fields):
                 received.put_nowait((frame.definition.name, fields))
 
         with ExitStack() as stack:

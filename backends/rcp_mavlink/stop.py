@@ -315,7 +315,7 @@ class Stop:
 
         def take(frame: Frame) -> None:
             ack = frame.fields()
-            own = ack.get("target_system", 0) in (0, self._hub.config.source_system)
+            own = self._hub.is_target(ack)
             if own and ack["command"] == number and ack["result"] not in (_ACCEPTED, _IN_PROGRESS):
                 attempt.refusals += 1
 
