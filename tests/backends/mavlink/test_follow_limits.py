@@ -258,7 +258,21 @@ async def test_a_fence_with_areas_that_is_enabled_meanwhile_ends_it() -> None:
         await eventually(lambda: _is(speed(pilot.vehicle) > 0.5), "it follows")
         pilot.vehicle.params.set("FENCE_ENABLE", 1)
         reply = await ended(pilot, id_)
-        assert "areas are not known" in reply["message"], reply
+        assert "was enabled meanwhile, and its areas are not known" in reply["message"], reply
+        assert "leads on" not in reply["message"]
+        assert reply["error"]["remedy"].startswith("Follow again"), reply
+        await stays_at_rest(pilot)
+
+
+async def test_so_does_one_whose_limits_come_to_be_unknown() -> None:
+    async with follower(FENCE_TYPE=1.0) as pilot, leading(pilot, 1.0):
+        id_ = await pilot.client.send(type="execute", path=FOLLOW, body=None)
+        await eventually(lambda: _is(speed(pilot.vehicle) > 0.5), "it follows")
+        del pilot.served.life.backend.robots[""].parameters.known["FENCE_ALT_MAX"]
+        pilot.vehicle.params.set("FENCE_ENABLE", 1)
+        reply = await ended(pilot, id_)
+        assert "the parameter FENCE_ALT_MAX of its fence is not known" in reply["message"], reply
+        assert reply["error"]["remedy"].startswith("Follow again"), reply
 
 
 @pytest.mark.parametrize("by", ["estop", "lease"])
