@@ -173,6 +173,20 @@ async def test_one_that_ignores_its_speed_limit_is_told_to_hold() -> None:
         assert "3 m/s requested, but it moves at 9.0 m/s" in reply["message"]
 
 
+async def test_a_hold_that_is_refused_then_is_not_told_as_one() -> None:
+    puppet = Px4Follower()
+    puppet.params["MPC_XY_VEL_MAX"] = (3.0, 9)
+    async with aloft(puppet) as found:
+        await found.robot.parameters.complete.wait()
+        id_ = await found.client.send(type="execute", path=FOLLOW, body=None)
+        await eventually(lambda: _is(found.robot.vehicle.mode == "FOLLOW"), "it follows")
+        puppet.results[176] = lambda _: 4
+        puppet.also.append(lambda: setattr(puppet, "velocity", (9.0, 0.0, 0.0)))
+        reply = await ended(found, id_)
+        assert reply["error"]["code"] == "device_timeout", reply
+        assert "commanded to hold, which it has not confirmed" in reply["message"]
+
+
 class Fenced(Px4Follower):
     """It flies north in a fence round its home, without areas."""
 
