@@ -19,7 +19,14 @@ from rcp_can.drive import KEPT, Drive, Profile, Protection, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_can.node_change import node_procedure
 from rcp_can.procedure import Procedure
-from rcp_can.profiles.vesc_detection import ALIVE, PRINT, REBOOT, detection_procedure, put_back
+from rcp_can.profiles.vesc_detection import (
+    ALIVE,
+    LONGEST,
+    PRINT,
+    REBOOT,
+    detection_procedure,
+    put_back,
+)
 from rcp_can.profiles.vesc_packets import PING, PONG, SHORT, Assembler, frames
 from rcp_can.profiles.vesc_settings import VescSettings, change_node, read_version
 from rcp_can.settings_procedures import settings_procedures
@@ -38,7 +45,6 @@ _ANSWERS = 0.5  # s
 _PROBED = 0.3  # s for another drive to answer
 _REBOOTS = 5.0  # s within which it has rebooted
 _ASKED = 0.2  # s between two questions whether it has
-_PLACED = 150.0  # s: during a detection it may send no position
 _PLACES = 1.0  # s within which it sends its position again
 _TURN = 4.0  # s for others' requests: storing may take 3 s
 NODES = range(255)
@@ -306,8 +312,11 @@ class VescDrive(Drive):
         return _PERIOD
 
     def pause(self, signal: str) -> float:
-        """Allow for no position from the beginning of a detection until its status messages are back."""
-        return _PLACED if self._unplaced and signal == "position" else 0.0
+        """Allow for no position from the beginning of a detection until its status messages are back.
+
+        Until then, the motor cannot be enabled: it counts as used, or as not configured.
+        """
+        return LONGEST if self._unplaced and signal == "position" else 0.0
 
     def routes(self) -> tuple[Route, ...]:
         """Return all its identifiers, and that of short answers to the gateway."""
