@@ -233,6 +233,8 @@ class Bus:
             await self._lost.wait()
         finally:
             self.wire = None
+            if not self._lost.is_set():  # nobody is told: it is not lost
+                self.state, self._reason = "down", "the gateway closes it"
             for key in self._past:
                 self._past[key] += getattr(wire, key)
             with anyio.CancelScope(shield=True):
