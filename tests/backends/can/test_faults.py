@@ -171,6 +171,20 @@ async def test_another_master_that_asks_a_drive_is_no_second_drive() -> None:
         assert rig.faults() == []
 
 
+async def test_another_master_that_guards_a_drive_is_no_loss_of_its_configuration() -> None:
+    async with motor("cia402") as rig:
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 2.0)
+        with Node(rig.channel) as node:
+            resets = rig.axis.status.resets
+            for toggled in (0x85, 0x05, 0x85):  # its answers to that master (CiA 301, 7.2.8.2.2)
+                beat = rig.axis.status.beat
+                node.send(0x705, bytes((toggled,)))
+                await rig.until(lambda b=beat: rig.axis.status.beat > b)
+        assert (rig.axis.status.resets, rig.faults()) == (resets, [])
+        assert rig.axis.driven
+
+
 @pytest.mark.parametrize("profile", ["odrive", "mit"])
 async def test_a_bus_that_takes_no_frames_drops_the_set_point_and_nothing_leaps_after_it(
     profile: str,
