@@ -114,13 +114,14 @@ class Commands:
         if result != _ACCEPTED:
             await self._refuse(command, what, result, started)
 
-    def send_once(self, command: Command) -> None:
-        """Send a command once, without waiting for a reply.
+    def send_once(self, command: Command, *, urgent: bool = False) -> None:
+        """Send a command once, without waiting for a reply; an urgent one has room on a full link.
 
         :raises EstopActive: the vehicle was stopped after the request.
         """
         _check_fence(command)
-        self._hub.send(self._vehicle, self._message(command, 0, whole=command.whole))
+        message = self._message(command, 0, whole=command.whole)
+        self._hub.send(self._vehicle, message, urgent=urgent)
 
     async def _request(
         self,

@@ -108,11 +108,11 @@ class Hub:
 
     # Sending
 
-    def send(self, vehicle: Vehicle, message: Any) -> None:
-        """Send a message to a vehicle over its last active link."""
+    def send(self, vehicle: Vehicle, message: Any, *, urgent: bool = False) -> None:
+        """Send a message to a vehicle over its last active link; an urgent one has room on a full one."""
         if vehicle.routes:
             link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
-            link.send(self._packed(link, message), address)
+            link.send(self._packed(link, message), address, urgent=urgent)
 
     def is_target(self, fields: Mapping[str, Any]) -> bool:
         """Return whether a message is for this gateway, or for everybody: not for another ground station."""
