@@ -171,6 +171,30 @@ async def test_another_master_that_asks_a_drive_is_no_second_drive() -> None:
         assert rig.faults() == []
 
 
+@pytest.mark.parametrize("where", ["take", "poll", "command"])
+async def test_an_error_in_a_profile_stops_its_motor_and_no_other(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    second = make_twin("vesc", 8)
+    table = {"bus": "can0", "profile": "vesc", "node": 8}
+    async with motor("odrive", twins=(second,), motors={"n": table}) as rig:
+        await rig.enable()
+        await rig.ran("service/n/enable")
+        for name in "mn":
+            await rig.write(f"actuator/{name}/velocity", 2.0)
+        await rig.until(lambda: min(rig.twin.plant.velocity, second.plant.velocity) > 1.0)
+
+        def fail(*_: object, **__: object) -> None:
+            raise KeyError("a fault of the profile")
+
+        monkeypatch.setattr(rig.axis.drive, where, fail)
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+        expected = {"take": "feedback_lost"}.get(where, "profile_failed")
+        await rig.host.until(lambda: expected in rig.faults())
+        assert second.plant.velocity > 1.0
+        assert rig.backend.axes["n"].is_fresh("velocity")
+
+
 async def test_another_master_that_guards_a_drive_is_no_loss_of_its_configuration() -> None:
     async with motor("cia402") as rig:
         await rig.enable()
