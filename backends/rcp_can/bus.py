@@ -289,14 +289,14 @@ class Bus:
         for function in self._after_batch:
             try:
                 function()
-            except Exception:
-                self._tell_failure(f"after a batch {id(function)}")
+            except Exception as error:
+                self._tell_failure(f"after a batch {id(function)}", error)
 
-    def _tell_failure(self, what: str) -> None:
+    def _tell_failure(self, what: str, error: Exception) -> None:
         """Log an error of whoever takes frames, once for each identifier."""
         if what not in self._failures and len(self._failures) < _TOLD:
             self._failures.add(what)
-            log.error("frame_not_taken", bus=self.name, what=what, exc_info=True)
+            log.error("frame_not_taken", bus=self.name, what=what, exc_info=error)
 
     def _error(self, message: can.Message) -> None:
         self.error_frames += 1
