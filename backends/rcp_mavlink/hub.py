@@ -8,6 +8,8 @@ from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from typing import Any
 
+import structlog
+
 from rcp_kernel.errors import NotReady
 from rcp_mavlink.config import MavlinkConfig
 from rcp_mavlink.dialect import Dialect
@@ -21,6 +23,7 @@ from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Hub", "open_hub"]
 
+log = structlog.get_logger("rcp.mavlink")
 _BEAT = 1.0  # s between two heartbeats of the gateway
 _NO_AUTOPILOT, _GROUND_STATION = 8, 6
 _MOST = 255
@@ -46,6 +49,8 @@ class Hub:
         """Called with each newly detected vehicle."""
         self.changed: Callable[[Vehicle], None] = lambda _: None
         """Called when a vehicle is lost or connected again."""
+        self._due = 0.0
+        """When the next heartbeat is sent."""
         self._first = asyncio.Event()
         simulates = any(text.startswith("sim:") for text in config.links)
         self._patience = max(config.connect, STARTING) if simulates else config.connect
@@ -142,19 +147,26 @@ class Hub:
     # Lifecycle
 
     async def run(self) -> None:
-        """Send heartbeats and detect lost vehicles, until cancelled."""
-        due = 0.0
+        """Send heartbeats and detect lost vehicles, until cancelled, whatever fails meanwhile."""
+        told = ""
         while True:
-            now = time.monotonic()
-            if now >= due:
-                due = now + _BEAT
-                self.beat()
-            for vehicle in self.vehicles.values():
-                silent = now - vehicle.last_message_at > self.config.silence
-                if silent and not vehicle.lost and now > vehicle.away_until:
-                    vehicle.lose(self.silent(vehicle))
-                    self.changed(vehicle)
+            try:
+                self._look(time.monotonic())
+            except Exception as error:
+                if repr(error) != told:
+                    log.exception("links_failed")
+                told = repr(error)
             await asyncio.sleep(min(_BEAT, self.config.silence) / 4)
+
+    def _look(self, now: float) -> None:
+        if now >= self._due:
+            self._due = now + _BEAT
+            self.beat()
+        for vehicle in self.vehicles.values():
+            silent = now - vehicle.last_message_at > self.config.silence
+            if silent and not vehicle.lost and now > vehicle.away_until:
+                vehicle.lose(self.silent(vehicle))
+                self.changed(vehicle)
 
     def silent(self, vehicle: Vehicle) -> str:
         """Describe a lost vehicle, with the known causes."""

@@ -114,6 +114,22 @@ async def test_a_command_in_progress_ends_with_the_link() -> None:
         assert time.monotonic() - began < 10.0
 
 
+async def test_a_link_that_fails_does_not_end_the_watch_over_the_vehicle() -> None:
+    async with station(Puppet()) as found:
+        hub, vehicle = found.served.life.backend.hub, found.robot.vehicle
+        failed: list[bytes] = []
+
+        def fail(frame: bytes) -> None:
+            failed.append(frame)
+            raise RuntimeError("the handle is closed")
+
+        for link in hub.links:
+            link.send_all = fail
+        await eventually(lambda: _is(failed), "a heartbeat was to be sent")
+        found.puppet.quiet = True
+        await eventually(lambda: _is(vehicle.lost), "its silence is noticed")
+
+
 async def test_an_answer_to_another_ground_station_is_none_to_ours() -> None:
     async with station(Puppet()) as found:
         puppet = found.puppet
