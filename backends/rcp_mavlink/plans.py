@@ -28,6 +28,7 @@ _RESULTS = {
     9: "invalid parameter 4", 10: "invalid latitude", 11: "invalid longitude",
     12: "invalid altitude", 13: "invalid sequence", 14: "denied", 15: "cancelled",
 }  # fmt: skip
+_MIXED = "An ArduPilot replaces its mission item by item: it may have a part of each. Upload it again before it flies."
 _ERROR, _INVALID_SEQUENCE = 1, 13
 _NEAR = 1e-6  # deg
 _PARAMS = ("param1", "param2", "param3", "param4")
@@ -42,6 +43,8 @@ class Plans:
     def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
         self._hub, self._vehicle = hub, vehicle
         self._turn = asyncio.Lock()
+        self._begun = False
+        """Whether an item of the present upload has been sent."""
         self._commands: dict[str, int] = {
             entry.name.removeprefix("MAV_CMD_"): number
             for number, entry in hub.dialect.module.enums["MAV_CMD"].items()
@@ -113,7 +116,12 @@ class Plans:
             vehicle.system, vehicle.component, len(messages), kind
         )
         async with self._turn:
-            doubt = await self._offer(kind, count, messages, progress)
+            try:
+                doubt = await self._offer(kind, count, messages, progress)
+            except RcpError as error:
+                if self.has_home(kind) and self._begun:
+                    error.remedy = _MIXED
+                raise
         if doubt is not None and not _are_alike(items, await self.download(kind)):
             raise doubt
         return len(items)
@@ -131,7 +139,7 @@ class Plans:
         """
         vehicle = self._vehicle
         with self._following("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") as received:
-            last = count
+            last, self._begun = count, False
             while True:
                 is_last = bool(messages) and last is messages[-1]
                 try:
@@ -150,7 +158,7 @@ class Plans:
                 seq = fields["seq"]
                 if seq >= len(messages):
                     raise DeviceRejected(f"the vehicle requested item {seq}, which does not exist")
-                last = messages[seq]
+                last, self._begun = messages[seq], True
                 self._hub.send(vehicle, last)
                 if progress is not None:
                     progress(seq / len(messages))

@@ -57,11 +57,17 @@ class Plan:
 class Transfer:
     """An upload in progress, from one peer."""
 
+    mixes = True
+    """Whether a mission is replaced item by item, as an ArduPilot does, and not at its end."""
+
     def __init__(self, plan: Plan, count: int, peer: tuple[int, int], now: float) -> None:
         self._plan, self._count, self._peer = plan, count, peer
         self._items: list[Item] = []
         self._requested_at = now
         self._tries = 0
+        self._mixes = self.mixes and plan.kind == mav.MAV_MISSION_TYPE_MISSION
+        if self._mixes:
+            plan.items = plan.items[:count]
 
     @property
     def plan(self) -> Plan:
@@ -101,6 +107,8 @@ class Transfer:
             return True
         self._items.append(_item(message, self._plan.kind))
         self._tries = 0
+        if self._mixes:
+            self._plan.items = [*self._items, *self._plan.items[len(self._items) :]]
         if len(self._items) < self._count:
             self.request_next(send, now)
             return False

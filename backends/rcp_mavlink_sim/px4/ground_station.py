@@ -25,6 +25,8 @@ _NO_PLACE, _NO_VELOCITY, _NO_YAW, _NO_YAW_RATE = 0b111, 0b111000, 1 << 10, 1 << 
 class _Transfer(Transfer):
     """An upload that asks by MISSION_REQUEST_INT; home is no part of a mission."""
 
+    mixes = False
+
     def request_next(self, send: Callable[[Any], None], now: float) -> None:
         """Request the next item."""
         self._requested_at = now

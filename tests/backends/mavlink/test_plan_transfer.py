@@ -66,6 +66,19 @@ async def test_a_plan_whose_last_answer_was_lost_is_read_back(kind: str) -> None
         assert len(pilot.vehicle.flight.mission.plan.items) == 5
 
 
+@pytest.mark.parametrize("kind", ["copter", "px4"])
+async def test_an_upload_that_breaks_off_may_leave_a_part_of_each(kind: str) -> None:
+    async with lossy(kind) as (pilot, line):
+        done = await pilot.do("action/mission/upload", {"items": ITEMS})
+        assert done["status"] == "completed", done
+        line.up = lambda m: m.get_type() != "MISSION_ITEM_INT" or m.seq < 2
+        reply = await pilot.do("action/mission/upload", {"items": ITEMS[:0:-1]})
+        assert reply["status"] == "failed", reply
+        assert ("part of each" in reply["error"]["remedy"]) == (kind == "copter")
+        kept = [round((i.lat - LAT) * 1e4) for i in pilot.vehicle.flight.mission.plan.items[1:]]
+        assert kept == {"copter": [3, 1, 2], "px4": [0, 1, 2, 3]}[kind]
+
+
 class Keeper(Puppet):
     """It refuses the last item by an error, and keeps the plan that it has."""
 
