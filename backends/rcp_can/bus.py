@@ -281,11 +281,9 @@ class Bus:
                     listener(message)
                 except ValueError:
                     self.malformed += 1
-                except (
-                    Exception
-                ):  # of a profile, for example: others take their frames all the same
+                except Exception as error:  # of a profile: others take their frames all the same
                     self.malformed += 1
-                    self._tell_failure(f"0x{message.arbitration_id:X}")
+                    self._tell_failure(f"0x{message.arbitration_id:X}", error)
         for function in self._after_batch:
             try:
                 function()
