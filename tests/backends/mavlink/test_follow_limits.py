@@ -275,7 +275,6 @@ async def test_a_fence_with_areas_that_is_enabled_meanwhile_ends_it() -> None:
         assert "was enabled meanwhile, and its areas are not known" in reply["message"], reply
         assert "leads on" not in reply["message"]
         assert reply["error"]["remedy"].startswith("Follow again"), reply
-        await stays_at_rest(pilot)
 
 
 async def test_so_does_one_whose_limits_come_to_be_unknown() -> None:
