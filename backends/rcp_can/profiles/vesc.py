@@ -49,6 +49,8 @@ _PLACES = 1.0  # s within which it sends its position again
 _TURN = 4.0  # s for others' requests: storing may take 3 s
 NODES = range(255)
 _STEPS = 6  # tachometer steps per electrical turn
+_WRAP = 1 << 31  # steps at which its counter wraps around
+_FASTER = 3  # times its reported speed, and a turn, that it may have turned on between two counts
 
 MESSAGES: dict[str, tuple[int, Layout]] = {
     "duty": (0, Layout(">", Field("duty", "i", 1e-5))),
@@ -139,6 +141,8 @@ class VescDrive(Drive):
         self._unplaced = False
         """Whether a detection may have ended its reports of position."""
         self._rebooted = self._asked = -math.inf
+        self._tachometer: tuple[int, float] | None = None
+        """Its last count, and when that was received."""
         self.application: bytes | None = None
         self._requests = bus.shared(_OneAtATime, _OneAtATime)
         self.protection = Protection(
@@ -345,9 +349,25 @@ class VescDrive(Drive):
         self.status.drive_temperature, self.status.motor_temperature = drive, motor
 
     def _on_status_5(self, tachometer: float, voltage: float) -> None:
+        self._look_for_a_boot(int(tachometer))
         self.status.position = tachometer / (_STEPS * self.options.pole_pairs) * 2 * math.pi
         self.status.voltage = voltage
         self.status.moved += 1
+
+    def _look_for_a_boot(self, tachometer: int) -> None:
+        """Detect a reboot by its counter, which begins at 0: set-points would turn it again at once."""
+        status, before = self.status, self._tachometer
+        now = time.monotonic() if status.frame_at is None else status.frame_at
+        self._tachometer = tachometer, now
+        if before is None or self._detecting:
+            return
+        turned = (tachometer - before[0] + _WRAP) % (2 * _WRAP) - _WRAP
+        gap, velocity = max(now - before[1], _PERIOD), status.velocity or 0.0
+        faster = _FASTER if turned * velocity > 0 else 1
+        most = 1 + faster * abs(velocity) * gap / (2 * math.pi)  # turns
+        if abs(turned) > most * _STEPS * self.pole_pairs:
+            self._on = status.enabled = False
+            status.resets, status.reset = status.resets + 1, "the drive rebooted"
 
     def _transmit(self, name: str, *, urgent: bool = False, **values: float) -> None:
         command, layout = MESSAGES[name]

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import struct
 import time
 from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any
 
 import anyio
+import can
 import pytest
 
 from backends.can.rig import MOTORS, Node, motor
+from rcp_can.profiles.vesc import VescDrive, VescOptions
 from rcp_can.sim import make_twin
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull
 
@@ -271,3 +276,30 @@ async def test_a_receive_queue_that_overflows_is_an_event_and_the_motor_goes_on(
         await rig.enable()
         await rig.write("actuator/m/velocity", 1.0)
         await rig.until(lambda: rig.twin.plant.velocity > 0.5)
+
+
+async def test_a_vesc_that_reboots_between_two_reports_does_not_turn_again() -> None:
+    async with motor("vesc", timeout=2.0, feedback_timeout=2.0) as rig:
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 8.0)
+        await rig.until(lambda: rig.twin.plant.position > 15.0)
+        assert rig.faults() == []
+        await rig.ordered(rig.twin.boot)
+        await rig.host.until(lambda: "reset" in rig.faults())
+        assert rig.axis.state == "disabled"
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.05)
+        stood = rig.twin.plant.position
+        await asyncio.sleep(0.2)
+        assert abs(rig.twin.plant.position - stood) < 0.05
+        await rig.ran("service/m/enable")
+
+
+@pytest.mark.parametrize(("before", "after"), [(2**31 - 20, -(2**31) + 20), (50, -20), (-40, 40)])
+def test_a_counter_of_a_vesc_that_wraps_or_turns_back_is_no_reboot(before: int, after: int) -> None:
+    bus: Any = SimpleNamespace(shared=lambda _kind, make: make(bus), listen=lambda *_, **__: None)
+    drive = VescDrive(7, VescOptions(), bus)
+    for tachometer in (before, after):
+        data = struct.pack(">ih", tachometer, 240)
+        drive.status.velocity = 0.1 if abs(after - before) < 42 else 120.0
+        drive.take(can.Message(arbitration_id=27 << 8 | 7, data=data))
+    assert drive.status.resets == 0
