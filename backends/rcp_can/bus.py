@@ -8,6 +8,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import anyio
+import structlog
 
 from rcp_can import messages as m
 from rcp_can.condition import read_error
@@ -27,10 +28,12 @@ if TYPE_CHECKING:
 __all__ = ["Bus", "Listener", "Route"]
 
 _T = TypeVar("_T")
+log = structlog.get_logger("rcp.can")
 
 _LONGEST = 5.0  # s between two attempts to restart
 _WELL = 10.0  # s of operation after which the restart delay begins anew
 _QUEUED = 50.0  # s a frame may wait to be read; some adapters' clocks begin again each minute
+_TOLD = 64  # identifiers whose frames could not be taken that are told
 _ECHOING = frozenset(("udp_multicast",))  # interfaces that deliver our own frames to us
 
 
@@ -57,6 +60,7 @@ class Bus:
         self.listen, self.overheard = self.routing.listen, self.routing.overheard
         self._lateness = Lateness(_QUEUED)
         self._after_batch: list[Callable[[], None]] = []
+        self._failures: set[str] = set()
         self._busy = 0.0
         self._past = {"rx": 0, "tx": 0, "dropped": 0, "expired": 0, "failed": 0}
         self._message: Any = None
@@ -233,6 +237,8 @@ class Bus:
             await self._lost.wait()
         finally:
             self.wire = None
+            if not self._lost.is_set():  # nobody is told: it is not lost
+                self.state, self._reason = "down", "the gateway closes it"
             for key in self._past:
                 self._past[key] += getattr(wire, key)
             with anyio.CancelScope(shield=True):
@@ -275,8 +281,20 @@ class Bus:
                     listener(message)
                 except ValueError:
                     self.malformed += 1
+                except Exception as error:  # of a profile: others take their frames all the same
+                    self.malformed += 1
+                    self._tell_failure(f"0x{message.arbitration_id:X}", error)
         for function in self._after_batch:
-            function()
+            try:
+                function()
+            except Exception as error:
+                self._tell_failure(f"after a batch {id(function)}", error)
+
+    def _tell_failure(self, what: str, error: Exception) -> None:
+        """Log an error of whoever takes frames, once for each identifier."""
+        if what not in self._failures and len(self._failures) < _TOLD:
+            self._failures.add(what)
+            log.error("frame_not_taken", bus=self.name, what=what, exc_info=error)
 
     def _error(self, message: can.Message) -> None:
         self.error_frames += 1

@@ -132,11 +132,19 @@ class DevicePart(Part):
         raise AdapterUnavailable(f"no {name} received yet")
 
     async def write(self, name: str, value: Any) -> None:
-        """Send a message."""
+        """Send a message; one that waits is not sent after its safe value, nor when it is no longer valid."""
         message = self._actuators[name]
         data = self._encode(message, value)
         check_fence()
-        self._bus.send(message.frame_id, data, extended=message.is_extended_frame, fd=message.is_fd)
+        safe = self._safe_data(message)
+        self._bus.send(
+            message.frame_id,
+            data,
+            extended=message.is_extended_frame,
+            fd=message.is_fd,
+            lifetime=None if safe is None or data == safe else self._config.valid_for,
+            sender=(self, message.frame_id),
+        )
 
     @staticmethod
     def _encode(message: Message, value: Any) -> bytes:
@@ -149,7 +157,8 @@ class DevicePart(Part):
     async def halt(self) -> None:
         """Send all safe values, whether or not anything was sent before."""
         for identifier, data, extended, fd in self.safe_frames():
-            self._bus.send(identifier, data, extended=extended, fd=fd, urgent=True, sender=self)
+            sender = self, identifier
+            self._bus.send(identifier, data, extended=extended, fd=fd, urgent=True, sender=sender)
 
     async def hold(self, reason: RcpError) -> None:
         """Send the safe values; `reason` is not used."""
@@ -159,17 +168,23 @@ class DevicePart(Part):
         """Send the safe values again: another node may have sent something else."""
         with suppress(RcpError):  # the bus state reports it, and this is called again soon
             for identifier, data, extended, fd in self.safe_frames():
-                self._bus.send(identifier, data, extended=extended, fd=fd, sender=self)
+                self._bus.send(identifier, data, extended=extended, fd=fd)
 
     def safe_frames(self) -> list[tuple[int, bytes, bool, bool]]:
         """List the frames of `safe`: identifier, payload, extended, CAN FD."""
         found: list[tuple[int, bytes, bool, bool]] = []
-        for path, message in self._actuators.items():
-            safe = self._config.safe.get(message.name)
-            if safe is not None:
-                data = self._encode(message, msgspec.convert(safe, self._types[path]))
+        for message in self._actuators.values():
+            data = self._safe_data(message)
+            if data is not None:
                 found.append((message.frame_id, data, message.is_extended_frame, message.is_fd))
         return found
+
+    def _safe_data(self, message: Message) -> bytes | None:
+        safe = self._config.safe.get(message.name)
+        if safe is None:
+            return None
+        type_ = self._types[f"actuator/{self._name}/{message.name}"]
+        return self._encode(message, msgspec.convert(safe, type_))
 
 
 def _sentence(message: Message) -> str:

@@ -23,10 +23,21 @@ if TYPE_CHECKING:
 
     from rcp_can.sdo import Sdo
 
-__all__ = ["Drive", "Fault", "Identity", "Profile", "Protection", "Reach", "Status", "StopFrame"]
+__all__ = [
+    "KEPT",
+    "Drive",
+    "Fault",
+    "Identity",
+    "Profile",
+    "Protection",
+    "Reach",
+    "Status",
+    "StopFrame",
+]
 
 _ANSWER = 1.0  # s within which a drive must reach a requested state
 _AGAIN = 0.1  # s between two requests
+KEPT = 1.0  # s a command may wait to be sent: by then, whoever asked for it has been told otherwise
 
 
 class Reach(NamedTuple):
@@ -167,12 +178,15 @@ class Drive(ABC):
     ) -> None:
         """Queue a frame to the drive; `lifetime`, `urgent` and the flags are those of `Bus.send`.
 
+        What is not urgent always has a lifetime, so that it never follows a stop.
+
         :raises AdapterUnavailable: the bus is down, or off.
         :raises QueueFull: the send queue is full.
         :raises EstopActive: it belongs to a request that was cancelled by a stop.
         """
         if not urgent:  # urgent frames stop the drive
             check_fence()
+            lifetime = KEPT if lifetime is None else lifetime
         self.bus.send(identifier, data, lifetime=lifetime, urgent=urgent, sender=self, **flags)
 
     def reach(self) -> Reach:

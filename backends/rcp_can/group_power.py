@@ -15,7 +15,7 @@ from rcp_can.motor import released
 from rcp_can.power_switch import enable
 from rcp_can.preconditions import check_feedback, check_link, ready
 from rcp_can.standstill import rested
-from rcp_can.together import together
+from rcp_can.together import all_of, together
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Progress, unfenced
@@ -121,7 +121,7 @@ async def _switch(verb: str, axes: Sequence[Axis]) -> None:
     :raises RcpError: one of them fails; after `enable`, no motor is on that was not on before.
     """
     if verb == "disable":
-        await together(axis.disable() for axis in axes)
+        await all_of(axis.disable() for axis in axes)  # one that fails leaves no other on
         return
     for axis in axes:
         await ready(axis)
@@ -146,4 +146,4 @@ async def _enable(axes: Sequence[Axis]) -> None:
 async def _withdraw(axes: Iterable[Axis]) -> None:
     """Switch the motors of an incomplete group off again."""
     with unfenced(), suppress(RcpError), anyio.move_on_after(_WITHDRAW, shield=True):
-        await together(axis.disable() for axis in axes)
+        await all_of(axis.disable() for axis in axes)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Awaitable, Callable, Generator, Iterable
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 
 import msgspec
+import structlog
 
 from rcp_can.axis import Axis
 from rcp_can.bus import Bus
@@ -16,13 +17,15 @@ from rcp_can.facts import Facts
 from rcp_can.health import Health
 from rcp_can.profiles import profile
 from rcp_can.ticker import Ticker
-from rcp_kernel.errors import ConfigError
+from rcp_kernel.errors import ConfigError, DeviceTimeout
 from rcp_kernel.spi import Host
 
 __all__ = ["by_rate", "make_axes", "run_axes", "shared_modes", "simulated", "wait_for_motors"]
 
+log = structlog.get_logger("rcp.can")
 _LATE = 0.1  # s: a longer gap counts as this, so that no ramp jumps
 _COARSE = 100.0  # Hz above which the event loop's own timers are too coarse
+_BROKEN = "profile_failed"
 _HEALTH = 1.0  # s between two reports of temperatures and supply
 
 
@@ -140,11 +143,25 @@ async def _run(axes: list[Axis], beat: Callable[[], Awaitable[None]]) -> None:
         now = time.monotonic()
         dt, last = min(now - last, _LATE), now
         for axis in axes:
-            axis.tick(dt)
+            _tick(axis, dt)
         if now - shown >= _HEALTH:
             shown = now
             for axis in axes:
                 axis.show_health()
+
+
+def _tick(axis: Axis, dt: float) -> None:
+    """Tick one motor; an error of its profile stops that one, and no other."""
+    try:
+        axis.tick(dt)
+    except Exception as error:
+        text = f"its profile failed: {error!r}"
+        if axis.faults.get(_BROKEN) is None:
+            log.exception("profile_failed", motor=axis.name)
+            axis.fault(_BROKEN, text)
+        with suppress(Exception):
+            axis.forget(DeviceTimeout(f"motor '{axis.name}': {text}, and it was stopped"))
+            axis.stop()
 
 
 async def wait_for_motors(axes: Iterable[Axis], grace: float, health: Health) -> None:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["ABORTS", "Sdo", "SdoAborted"]
 
 _TIMEOUT = 0.5  # s for one response
+_MOST_OWED = 8
 _LONGEST = 65_536  # bytes: the longest value accepted
 _TIMED_OUT = 0x05040000
 _UPLOADED, _DOWNLOADED, _SEGMENT_UP, _SEGMENT_DOWN, _ABORTED = 0x40, 0x60, 0x00, 0x20, 0x80
@@ -78,6 +79,8 @@ class Sdo:
         """Whether a response to another request arrived meanwhile."""
         self._last = b"", 0.0
         """The previous response, and when it arrived."""
+        self._owed = 0
+        """Responses to requests that were given up: a busy node answers them later, one by one."""
 
     @property
     def route(self) -> Route:
@@ -99,7 +102,10 @@ class Sdo:
         data, now = bytes(message.data), time.monotonic()
         again = data[:4] == self._last[0][:4] and now - self._last[1] < _TIMEOUT
         if again and data[1:4] != self._expected:
-            self.unasked += 1
+            if self._owed:
+                self._owed -= 1
+            else:
+                self.unasked += 1
         elif self._answer is not None and not self._answer.done():
             if not self._matches(data):  # late, of another node with this id, or to another master
                 self._mismatched = True
@@ -185,6 +191,7 @@ class Sdo:
             async with asyncio.timeout(seconds):  # `wait_for` may swallow a cancellation
                 answer = await self._answer
         except TimeoutError:
+            self._owed = min(self._owed + 1, _MOST_OWED)
             if self._bus.up:
                 self._bus.send(
                     0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, _TIMED_OUT)

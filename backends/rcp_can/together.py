@@ -8,7 +8,7 @@ from typing import Any
 
 import anyio
 
-__all__ = ["together"]
+__all__ = ["all_of", "together"]
 
 
 async def together(work: Iterable[Coroutine[Any, Any, None]]) -> None:
@@ -25,4 +25,12 @@ async def together(work: Iterable[Coroutine[Any, Any, None]]) -> None:
             await asyncio.wait(tasks)
     for task in tasks:
         if not task.cancelled() and (error := task.exception()) is not None:
+            raise error
+
+
+async def all_of(work: Iterable[Coroutine[Any, Any, None]]) -> None:
+    """Run all concurrently to their end, whichever fails; then raise the first failure."""
+    done = await asyncio.gather(*work, return_exceptions=True)
+    for error in done:
+        if isinstance(error, BaseException):
             raise error

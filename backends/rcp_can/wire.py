@@ -7,13 +7,14 @@ busy, frames accumulate.
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
 import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rcp_kernel.errors import AdapterUnavailable, QueueFull
 
@@ -24,9 +25,20 @@ __all__ = ["Wire"]
 
 _RECV = 0.1  # s a reader blocks at most, so that it notices the end
 _SEND = 0.2  # s the interface may take to accept one frame
+_FULL = 0.001  # s between two attempts while its own queue is full
 _INBOX = 16_384  # frames queued for a busy event loop; older ones are dropped and counted
 _FAILURES = 8  # consecutive failed sends after which the interface counts as lost
 _ECHOES = 1024  # sent frames whose own echo is still expected
+
+
+class _Waiting(NamedTuple):
+    """Frames that wait to be sent, one after the other."""
+
+    messages: Sequence[can.Message]
+    expires: float
+    """Monotonic time in s; 0: never, and no urgent frame outdates them."""
+    number: int
+    sender: Hashable
 
 
 class Wire:
@@ -47,7 +59,7 @@ class Wire:
         self._received, self._lost = received, lost
         self._loop = asyncio.get_running_loop()
         self._inbox: deque[can.Message] = deque()
-        self._outbox: deque[tuple[Sequence[can.Message], float, int, Hashable]] = deque()
+        self._outbox: deque[_Waiting] = deque()
         self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
         self._numbers = itertools.count(1)
         self._barriers: dict[Hashable, int] = {}
@@ -115,14 +127,14 @@ class Wire:
             if len(self._outbox) >= self._limit:
                 self._outbox.pop()
                 self.expired += 1
-            self._outbox.appendleft((messages, expires, number, sender))
+            self._outbox.appendleft(_Waiting(messages, expires, number, sender))
         elif len(self._outbox) >= self._limit:
             raise QueueFull(
                 f"{self._limit} frames are already waiting: the bus accepts none",
                 remedy="Check sensor/can/<bus>/state, and that another node acknowledges frames.",
             )
         else:
-            self._outbox.append((messages, expires, number, sender))
+            self._outbox.append(_Waiting(messages, expires, number, sender))
         self._wake.set()
 
     async def close(self) -> None:
@@ -171,17 +183,14 @@ class Wire:
             self._wake.wait()
             self._wake.clear()
             while self._outbox:
-                messages, expires, number, sender = self._outbox.popleft()
-                if expires and number < self._barriers.get(sender, 0):
-                    continue
-                if expires and time.monotonic() > expires:
-                    self.expired += 1
+                waiting = self._outbox.popleft()
+                if self._is_outdated(waiting):
                     continue
                 self._sending = True
                 try:
-                    for message in messages:
-                        self._note(message)
-                        self.interface.send(message, timeout=_SEND)
+                    for message in waiting.messages:
+                        if not self._accepted(message, waiting):
+                            break
                         self.tx, failures = self.tx + 1, 0
                         self._moving = time.monotonic()
                 except Exception as error:
@@ -196,6 +205,35 @@ class Wire:
                     self._sending = False
             if self._closing:
                 return
+
+    def _is_outdated(self, waiting: _Waiting) -> bool:
+        """Return whether a later urgent frame, or time, has made something not worth sending."""
+        if not waiting.expires:
+            return False
+        late = time.monotonic() > waiting.expires
+        replaced = waiting.number < self._barriers.get(waiting.sender, 0)
+        self.expired += late and not replaced
+        return late or replaced
+
+    def _accepted(self, message: can.Message, waiting: _Waiting) -> bool:
+        """Have the interface accept a frame; return whether it was still worth sending.
+
+        SocketCAN's queue holds ten frames by default, and does not let a sender wait for room.
+        """
+        self._note(message)
+        end = time.monotonic() + _SEND
+        while True:
+            try:
+                self.interface.send(message, timeout=_SEND)
+            except Exception as error:
+                full = getattr(error, "error_code", None) == errno.ENOBUFS
+                if not full or time.monotonic() > end:
+                    raise
+            else:
+                return True
+            time.sleep(_FULL)
+            if self._is_outdated(waiting):
+                return False
 
     def _note(self, message: can.Message) -> None:
         if self._echoes is not None and len(self._echoes) < _ECHOES:

@@ -36,6 +36,7 @@ _WORDS = {
     10: "not in control",
 }  # fmt: skip
 _PATIENCE = 30.0  # s without an update after which a command in progress times out
+_LOOK = 1.0  # s between two checks of the link meanwhile
 _LAST_WORDS = 0.15  # s within which the reason may follow the refusal
 _RELATIVE = 6
 _REMEDY = "Fix what the vehicle reports and try again; sensor/prearm shows whether it can be armed."
@@ -113,13 +114,14 @@ class Commands:
         if result != _ACCEPTED:
             await self._refuse(command, what, result, started)
 
-    def send_once(self, command: Command) -> None:
-        """Send a command once, without waiting for a reply.
+    def send_once(self, command: Command, *, urgent: bool = False) -> None:
+        """Send a command once, without waiting for a reply; an urgent one has room on a full link.
 
         :raises EstopActive: the vehicle was stopped after the request.
         """
         _check_fence(command)
-        self._hub.send(self._vehicle, self._message(command, 0, whole=command.whole))
+        message = self._message(command, 0, whole=command.whole)
+        self._hub.send(self._vehicle, message, urgent=urgent)
 
     async def _request(
         self,
@@ -131,14 +133,13 @@ class Commands:
     ) -> int:
         """Send it until it is acknowledged; return the MAV_RESULT."""
         answers: asyncio.Queue[tuple[int, int]] = asyncio.Queue()
-        own = self._hub.config.source_system
         to = self._vehicle.component if command.component is None else command.component
 
         def take(frame: Frame) -> None:
-            ack = frame.fields()
             if frame.component != to:
                 return
-            if ack["command"] == command.number and ack.get("target_system", 0) in (0, own):
+            ack = frame.fields()
+            if ack["command"] == command.number and self._hub.is_target(ack):
                 answers.put_nowait((ack["result"], ack.get("progress", 255)))
 
         config = self._hub.config
@@ -149,19 +150,15 @@ class Commands:
                     async with asyncio.timeout(late):
                         await answers.get()
             self._orphans[command.number] = time.monotonic() + config.timeout
-            running = False
+            running, attempt = False, 0
             try:
-                for attempt in range(config.retries + 1):
+                while attempt <= config.retries and not running:  # one in progress would begin anew
                     self._vehicle.check()
                     _check_fence(command)
                     self._hub.send(self._vehicle, self._message(command, attempt, whole=whole))
-                    wait = config.timeout
-                    while True:
-                        try:
-                            async with asyncio.timeout(wait):
-                                result, part = await answers.get()
-                        except TimeoutError:
-                            break
+                    attempt, wait = attempt + 1, config.timeout
+                    while (answer := await self._answer(answers, wait)) is not None:
+                        result, part = answer
                         if result != _RUNNING:
                             del self._orphans[command.number]
                             return result
@@ -173,7 +170,27 @@ class Commands:
                     self._cancel(command.number, to)
                 raise
         self._vehicle.check()
+        if running:
+            raise DeviceTimeout(
+                f"{what}: the vehicle began it, and has told nothing for {_PATIENCE:g} s",
+                remedy="It may still go on: see its telemetry before you send it again.",
+            )
         raise DeviceTimeout(f"{what}: the vehicle did not respond")
+
+    async def _answer(
+        self, answers: asyncio.Queue[tuple[int, int]], seconds: float
+    ) -> tuple[int, int] | None:
+        """Return the next answer; None if there is none in time.
+
+        :raises AdapterUnavailable: the vehicle is lost meanwhile.
+        """
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            with suppress(TimeoutError):
+                async with asyncio.timeout(min(left, _LOOK)):
+                    return await answers.get()
+            self._vehicle.check()
+        return None
 
     def _cancel(self, number: int, component: int) -> None:
         """Tell the vehicle, once, to end a command in progress; many do not know the message."""

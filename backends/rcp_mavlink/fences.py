@@ -123,8 +123,8 @@ def unknown(vehicle: Vehicle, parameters: Parameters) -> str | None:
         from_home = bool(kinds & _CIRCLE)
     missing = next((name for name in names if name not in parameters.known), None)
     if missing is None and from_home and vehicle.home is None:
-        return "its home, from which its fence is measured"
-    return None if missing is None else f"its parameter {missing}"
+        return "its home, from which its fence is measured,"
+    return None if missing is None else f"the parameter {missing} of its fence"
 
 
 def _from_home(vehicle: Vehicle, place: tuple[float, float]) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager, nullcontext, suppress
+from contextlib import asynccontextmanager, nullcontext
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct
@@ -18,7 +18,7 @@ from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.follow_limits import FollowLimits, LimitWatch
 from rcp_mavlink.follow_target import FollowTargets, can_follow
 from rcp_mavlink.hub import Hub
-from rcp_mavlink.journeys import Journeys, holding
+from rcp_mavlink.journeys import Journeys, hold_after, holding
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.vehicle import Vehicle
@@ -99,9 +99,9 @@ class Follows:
         """Follow a target.
 
         :raises PreconditionFailed: it is not in the air, its mode is not enabled, or nobody tells where the target is.
-        :raises DeviceTimeout: the target was lost.
-        :raises DeviceRejected: it is outside its fence or would leave it, moves too fast, or something
-            else takes over.
+        :raises DeviceTimeout: it does not respond, or is not seen to hold at the end.
+        :raises DeviceRejected: the target was lost, it is outside its fence or would leave it, moves too
+            fast, or something else takes over.
         """
         given = given or Follow()
         vehicle, targets = self._vehicle, self._targets
@@ -169,8 +169,9 @@ class Follows:
             why = "no position of it came in time"
             if targets.is_known:
                 why = f"it is farther away than {_FARTHEST}, {farthest:g} m"
-            raise DeviceTimeout(
-                f"follow: the target was lost, {why}; the vehicle was commanded to hold"
+            raise DeviceRejected(  # no timeout: nothing is left to be done when the link is restored
+                f"follow: the target was lost, {why}; the vehicle was commanded to hold",
+                remedy="Go on telling where the target is, and follow again.",
             ) from error
         return state
 
@@ -189,8 +190,7 @@ class Follows:
         except RcpError as error:
             modes = (_MODE, before) if isinstance(error, DeviceTimeout) else (_MODE,)
             if self._vehicle.mode in modes and not self._vehicle.lost:
-                with suppress(RcpError):
-                    await self._motion.shielded(self._motion.hold)
+                await hold_after(self._motion, error)
             raise
 
     # Parameters

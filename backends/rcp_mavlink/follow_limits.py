@@ -25,6 +25,7 @@ _LISTING = 5.0  # s for parameters that are not listed yet
 _UNTIL_IT_BRAKES = 0.75  # s after its position was measured: the checks' period, and the command
 _BRAKING, _VERTICALLY = 2.5, 1.0  # m/s2
 _STANDING = 0.2  # m/s below which it goes nowhere
+_CHANGED = "Follow again with action/follow, which reads the fence as it is now."
 _FENCED = "Fly back with action/move_to, and follow something inside the fence: see service/fence/download, param/FENCE_* or param/GF_*."
 
 
@@ -46,7 +47,8 @@ class LimitWatch:
         self._pace = Pace(vehicle, self.speed, None)
         self.fault: str | None = None
         """Why it must not go on."""
-        self.fence: str | None = None
+        self._remedy: str | None = None
+        self._fence: str | None = None
         """The fence that is the reason."""
 
     def check(self) -> None:
@@ -54,10 +56,11 @@ class LimitWatch:
         if self.fault is not None:
             return
         self._pace.update(there=False)
-        self.fence = self._left()
-        self.fault = (
-            self._pace.fault if self.fence is None else f"the target leads on: {self.fence}"
-        )
+        self.fault, self._remedy = self._pace.fault, None
+        if (why := self._unread()) is not None:
+            self.fault, self._remedy = why, _CHANGED
+        elif (why := self._left()) is not None:
+            self.fault, self._remedy, self._fence = f"the target leads on: {why}", _FENCED, why
 
     def refuse(self) -> None:
         """Refuse to follow from outside the fence.
@@ -69,10 +72,10 @@ class LimitWatch:
 
     def failure(self, error: DeviceRejected) -> DeviceRejected:
         """Return the error for a fault."""
-        more = {} if self.fence is None else {"fence": self.fence}
+        more = {} if self._fence is None else {"fence": self._fence}
         return DeviceRejected(
             f"follow: {self.fault}; the vehicle was commanded to hold",
-            remedy=None if self.fence is None else _FENCED,
+            remedy=self._remedy,
             details={**(error.details or {}), **more},
         )
 
@@ -107,16 +110,21 @@ class LimitWatch:
         height = fix.height - (ahead(down, abs(down), until, _VERTICALLY) if down else 0.0)
         return self._violated(place, height)
 
-    def _violated(self, place: tuple[float, float], height: float) -> str | None:
-        """Describe the fence that a place (deg) or height (m) violates, or may because it is not known."""
+    def _unread(self) -> str | None:
+        """Describe what has come to be of the fence since it was read, so that nobody can say what is inside."""
         vehicle, parameters = self._vehicle, self._parameters
         if (what := unknown(vehicle, parameters)) is not None:
-            return f"{what}, is not known"
+            return f"its fence has changed meanwhile, and {what} is not known"
+        if self._enclosure is None and has_areas(vehicle, parameters):
+            return "its fence was enabled meanwhile, and its areas are not known"
+        return None
+
+    def _violated(self, place: tuple[float, float], height: float) -> str | None:
+        """Describe the fence that a place (deg) or height (m) violates."""
+        vehicle, parameters = self._vehicle, self._parameters
         why = beyond(vehicle, parameters, place, height, warns=True)
-        if why is not None or not has_areas(vehicle, parameters):
+        if why is not None or self._enclosure is None or not has_areas(vehicle, parameters):
             return why
-        if self._enclosure is None:
-            return "its fence was enabled meanwhile, whose areas are not known"
         return self._enclosure.left(place)
 
 
@@ -171,6 +179,6 @@ class FollowLimits:
             )
         if (what := unknown(self._vehicle, parameters)) is not None:
             raise PreconditionFailed(
-                f"follow: {what}, is not known: it may be outside its fence",
+                f"follow: {what} is not known, so it may be outside its fence",
                 remedy="Wait until the vehicle has reported it; check it with a ground station.",
             )

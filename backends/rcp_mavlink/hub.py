@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from typing import Any
+
+import structlog
 
 from rcp_kernel.errors import NotReady
 from rcp_mavlink.config import MavlinkConfig
@@ -21,6 +23,7 @@ from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Hub", "open_hub"]
 
+log = structlog.get_logger("rcp.mavlink")
 _BEAT = 1.0  # s between two heartbeats of the gateway
 _NO_AUTOPILOT, _GROUND_STATION = 8, 6
 _MOST = 255
@@ -46,6 +49,8 @@ class Hub:
         """Called with each newly detected vehicle."""
         self.changed: Callable[[Vehicle], None] = lambda _: None
         """Called when a vehicle is lost or connected again."""
+        self._due = 0.0
+        """When the next heartbeat is sent."""
         self._first = asyncio.Event()
         simulates = any(text.startswith("sim:") for text in config.links)
         self._patience = max(config.connect, STARTING) if simulates else config.connect
@@ -108,11 +113,17 @@ class Hub:
 
     # Sending
 
-    def send(self, vehicle: Vehicle, message: Any) -> None:
-        """Send a message to a vehicle over its last active link."""
+    def send(self, vehicle: Vehicle, message: Any, *, urgent: bool = False) -> None:
+        """Send a message to a vehicle over its last active link; an urgent one has room on a full one."""
         if vehicle.routes:
             link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
-            link.send(self._packed(link, message), address)
+            link.send(self._packed(link, message), address, urgent=urgent)
+
+    def is_target(self, fields: Mapping[str, Any]) -> bool:
+        """Return whether a message is for this gateway, or for everybody: not for another ground station."""
+        config = self.config
+        own = {"target_system": config.source_system, "target_component": config.source_component}
+        return all(fields.get(field, 0) in (0, number) for field, number in own.items())
 
     def forward(self, vehicle: Vehicle, frame: Frame) -> None:
         """Send a frame of somebody else to a vehicle, signed with `key` if there is one."""
@@ -136,19 +147,26 @@ class Hub:
     # Lifecycle
 
     async def run(self) -> None:
-        """Send heartbeats and detect lost vehicles, until cancelled."""
-        due = 0.0
+        """Send heartbeats and detect lost vehicles, until cancelled, whatever fails meanwhile."""
+        told = ""
         while True:
-            now = time.monotonic()
-            if now >= due:
-                due = now + _BEAT
-                self.beat()
-            for vehicle in self.vehicles.values():
-                silent = now - vehicle.last_message_at > self.config.silence
-                if silent and not vehicle.lost and now > vehicle.away_until:
-                    vehicle.lose(self.silent(vehicle))
-                    self.changed(vehicle)
+            try:
+                self._look(time.monotonic())
+            except Exception as error:
+                if repr(error) != told:
+                    log.exception("links_failed")
+                told = repr(error)
             await asyncio.sleep(min(_BEAT, self.config.silence) / 4)
+
+    def _look(self, now: float) -> None:
+        if now >= self._due:
+            self._due = now + _BEAT
+            self.beat()
+        for vehicle in self.vehicles.values():
+            silent = now - vehicle.last_message_at > self.config.silence
+            if silent and not vehicle.lost and now > vehicle.away_until:
+                vehicle.lose(self.silent(vehicle))
+                self.changed(vehicle)
 
     def silent(self, vehicle: Vehicle) -> str:
         """Describe a lost vehicle, with the known causes."""

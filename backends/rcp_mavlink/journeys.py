@@ -6,7 +6,7 @@ import asyncio
 import math
 import time
 from collections.abc import AsyncGenerator, Awaitable, Callable, Generator
-from contextlib import asynccontextmanager, contextmanager, suppress
+from contextlib import asynccontextmanager, contextmanager
 
 from msgspec.structs import replace
 
@@ -40,7 +40,7 @@ from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.terrain import Terrain, check_offered
 from rcp_mavlink.vehicle import Fix, Vehicle
 
-__all__ = ["Journeys", "holding"]
+__all__ = ["Journeys", "hold_after", "holding"]
 
 _CHANGE_MODE = 1.0
 _RELATIVE, _ABSOLUTE, _TERRAIN = 6, 5, 11
@@ -324,10 +324,9 @@ class Journeys:
         """
         try:
             yield
-        except of:
+        except of as error:
             if self._vehicle.mode == self._vehicle.family.guided and not self._vehicle.lost:
-                with suppress(RcpError, TimeoutError):
-                    await self._motion.shielded(self._motion.hold)
+                await hold_after(self._motion, error)
             raise
 
     @contextmanager
@@ -368,3 +367,17 @@ async def holding(motion: Motion) -> AsyncGenerator[None]:
     except asyncio.CancelledError:
         await motion.shielded(motion.hold)
         raise
+
+
+async def hold_after(motion: Motion, error: RcpError) -> None:
+    """Command a hold after a failure.
+
+    :raises DeviceTimeout: it is not confirmed: the vehicle may go on, although the error may say that it holds.
+    """
+    try:
+        await motion.shielded(motion.hold)
+    except RcpError as failed:
+        if not isinstance(error, DeviceTimeout):
+            raise DeviceTimeout(
+                f"{error}, which it has not confirmed: {failed}", details=error.details
+            ) from error

@@ -20,7 +20,10 @@ _FIRST_WAIT, _LONGEST_WAIT = 0.5, 5.0  # s between attempts to connect
 _FORGET = 60.0  # s without data after which nothing more is sent to a UDP address
 _MOST_ADDRESSES = 256
 _RECEIVED = 4 << 20  # bytes of receive buffer, for when the loop is busy
-_BACKLOG = 1_000_000  # bytes that may be queued for a peer that does not read
+_ROOM = 65_536  # bytes that may wait for a peer that does not read; a stop may wait beside them
+_UNSENT = 16_384  # bytes of them that the system takes before it can send them
+_LEAST = 2048  # bytes that may wait for a slow serial line
+_BYTES = 0.05  # bytes in half a second, by the bit rate
 
 Take = Callable[["Link", Any, list[Frame]], None]
 
@@ -33,6 +36,9 @@ class Link:
         self.text = text
         self.spec = LinkSpec.of(text)
         self._make, self._take = make, take
+        self._waiting_room = _ROOM
+        if self.spec.kind == "serial":  # or a stop would be sent seconds later
+            self._waiting_room = max(_LEAST, round(self.spec.port * _BYTES))
         self.framer = make()
         self.framers: dict[Any, Framer] = {}
         """Parser per address: the data of different senders is kept apart."""
@@ -162,11 +168,12 @@ class Link:
                 del self._last_seen[address]
                 self.framers.pop(address, None)
 
-    def send(self, frame: bytes, address: Any) -> None:
-        """Send a frame to a known address; dropped if it cannot be sent."""
+    def send(self, frame: bytes, address: Any, *, urgent: bool = False) -> None:
+        """Send a frame to a known address; dropped if too many wait, of which a stop has its own number."""
         transport = self._transports.get(address)
         if transport is not None:
-            if transport.get_write_buffer_size() < _BACKLOG:
+            room = self._waiting_room * (2 if urgent else 1)
+            if transport.get_write_buffer_size() < room:
                 if self.spec.kind == "udpout":
                     transport.sendto(frame)
                 else:
@@ -213,6 +220,10 @@ class _Stream(asyncio.Protocol):
             self._address = transport.get_extra_info("peername")
         else:
             self._link.framer.reset()
+        stream = transport.get_extra_info("socket")
+        if stream is not None and stream.family in (socket.AF_INET, socket.AF_INET6):
+            with contextlib.suppress(AttributeError, OSError):  # not every system has it
+                stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT)
         self._link.join(self._address, transport)
 
     def data_received(self, data: bytes) -> None:

@@ -112,7 +112,8 @@ class Measurement:
             return fix.speed
         if self.age("LOCAL_POSITION_NED") <= self.limit:
             f = vehicle.latest["LOCAL_POSITION_NED"].fields()
-            return math.hypot(f["vx"], f["vy"], f["vz"])
+            speed = math.hypot(f["vx"], f["vy"], f["vz"])
+            return speed if math.isfinite(speed) else None
         return None
 
     def unknown(self) -> str:

@@ -77,7 +77,8 @@ class Motion:
                 remedy=f"Its modes: {', '.join(modes)}.",
                 details={"pointer": "/mode"},
             )
-        await self.to_mode(name, progress=progress)
+        # Sent even if it seems to be in effect: the last heartbeat may be older than another's change.
+        await self.to_mode(name, surely=True, progress=progress)
         return m.SetMode(self._vehicle.mode)
 
     async def to_mode(

@@ -93,7 +93,7 @@ class Ongoing:
         if not self.runs() or self._stop is None or now - self._sent < _AGAIN:
             return
         self._ended_at = now if self._ended_at is None else self._ended_at
-        self._commands.send_once(self._stop)
+        self._commands.send_once(self._stop, urgent=True)
         self._sent = now
 
     def keep_ending(self) -> None:

@@ -25,7 +25,7 @@ from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.fences import beyond
 from rcp_mavlink.flightmodes import Family
 from rcp_mavlink.geo import distance, offset, shifted
-from rcp_mavlink.journeys import Journeys, holding
+from rcp_mavlink.journeys import Journeys, hold_after, holding
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.places import fix_of, located
@@ -129,8 +129,17 @@ class Orbits:
             async with self._ending(mode):
                 await begin()
                 result = await self._follow(given, centre, mode, progress)
-                await self._motion.hold()
+                await self._rest()
         return result
+
+    async def _rest(self) -> None:
+        """Hold, as after `move_to`: in the mode for the next target or set-point, if it enters that."""
+        family = self._vehicle.family
+        if not family.px4:  # which holds in the mode for targets
+            with suppress(DeviceRejected):
+                await self._motion.to_mode(family.guided)
+                return
+        await self._motion.hold()
 
     @asynccontextmanager
     async def _ending(self, mode: str) -> AsyncGenerator[None]:
@@ -141,8 +150,7 @@ class Orbits:
         except RcpError as error:
             circles = (mode, before) if isinstance(error, DeviceTimeout) else (mode,)
             if self._vehicle.mode in circles and not self._vehicle.lost:
-                with suppress(RcpError):
-                    await self._motion.shielded(self._motion.hold)
+                await hold_after(self._motion, error)
             raise
 
     def _centre(self, given: Orbit, fix: Fix) -> tuple[Place, float]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import difflib
 import math
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from rcp_kernel.errors import DeviceRejected, DeviceTimeout, InvalidValue
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, InvalidValue, RcpError
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.messages import Item
@@ -28,8 +28,13 @@ _RESULTS = {
     9: "invalid parameter 4", 10: "invalid latitude", 11: "invalid longitude",
     12: "invalid altitude", 13: "invalid sequence", 14: "denied", 15: "cancelled",
 }  # fmt: skip
+_MIXED = "An ArduPilot replaces its mission item by item: it may have a part of each. Upload it again before it flies."
+_ERROR, _INVALID_SEQUENCE = 1, 13
+_NEAR = 1e-6  # deg
 _PARAMS = ("param1", "param2", "param3", "param4")
 _GLOBAL = frozenset({"relative", "absolute", "terrain"})
+
+_Received = asyncio.Queue[tuple[str, dict[str, Any]]]
 
 
 class Plans:
@@ -38,6 +43,8 @@ class Plans:
     def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
         self._hub, self._vehicle = hub, vehicle
         self._turn = asyncio.Lock()
+        self._begun = False
+        """Whether an item of the present upload has been sent."""
         self._commands: dict[str, int] = {
             entry.name.removeprefix("MAV_CMD_"): number
             for number, entry in hub.dialect.module.enums["MAV_CMD"].items()
@@ -98,6 +105,7 @@ class Plans:
         """Replace a plan; return how many items the vehicle accepted.
 
         :raises DeviceRejected: the vehicle refuses the plan; includes its reason.
+        :raises DeviceTimeout: it does not respond, and does not have the plan.
         :raises UnsupportedOperation: heights above the ground are for vehicles that know it.
         """
         if any(item.frame == "terrain" for item in items):
@@ -108,25 +116,52 @@ class Plans:
             vehicle.system, vehicle.component, len(messages), kind
         )
         async with self._turn:
-            received: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
-            with _following(
-                vehicle, received, "MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK"
-            ):
-                last = count
-                while True:
+            try:
+                doubt = await self._offer(kind, count, messages, progress)
+            except RcpError as error:
+                if self.has_home(kind) and self._begun:
+                    error.remedy = _MIXED
+                raise
+        if doubt is not None and not _are_alike(items, await self.download(kind)):
+            raise doubt
+        return len(items)
+
+    async def _offer(
+        self,
+        kind: int,
+        count: Any,
+        messages: Sequence[Any],
+        progress: Callable[[float], None] | None,
+    ) -> RcpError | None:
+        """Send what the vehicle requests; return None if it accepts the plan, or why that is not certain.
+
+        If its last answer was lost, an ArduPilot answers the last item, sent again, with an error.
+        """
+        vehicle = self._vehicle
+        with self._following("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") as received:
+            last, self._begun = count, False
+            while True:
+                is_last = bool(messages) and last is messages[-1]
+                try:
                     name, fields = await self._next_message(received, last, kind, "upload")
-                    if name == "MISSION_ACK":
-                        self._check(fields["type"], "the plan is refused")
-                        return len(items)
-                    seq = fields["seq"]
-                    if seq >= len(messages):
-                        raise DeviceRejected(
-                            f"the vehicle requested item {seq}, which does not exist"
-                        )
-                    last = messages[seq]
-                    self._hub.send(vehicle, last)
-                    if progress is not None:
-                        progress(seq / len(messages))
+                except DeviceTimeout as error:
+                    if is_last and not vehicle.lost:
+                        return error
+                    raise
+                if name == "MISSION_ACK":
+                    if last is not count and fields["type"] == _INVALID_SEQUENCE:
+                        continue  # of an item sent again: its next request was lost
+                    refusal = self._refusal(fields["type"], "the plan is refused")
+                    if refusal is None or (is_last and fields["type"] == _ERROR):
+                        return refusal
+                    raise refusal
+                seq = fields["seq"]
+                if seq >= len(messages):
+                    raise DeviceRejected(f"the vehicle requested item {seq}, which does not exist")
+                last, self._begun = messages[seq], True
+                self._hub.send(vehicle, last)
+                if progress is not None:
+                    progress(seq / len(messages))
 
     async def download(self, kind: int) -> tuple[Item, ...]:
         """Return the plan stored on the vehicle."""
@@ -134,8 +169,8 @@ class Plans:
         to = (vehicle.system, vehicle.component)
         found: list[Item] = []
         async with self._turn:
-            received: asyncio.Queue[tuple[str, dict[str, Any]]] = asyncio.Queue()
-            with _following(vehicle, received, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"):
+            names = "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"
+            with self._following(*names) as received:
                 request = module.MAVLink_mission_request_list_message(*to, kind)
                 self._hub.send(vehicle, request)
                 _, count = await self._next_message(
@@ -164,7 +199,7 @@ class Plans:
         return Item(name, f["x"] / scale, f["y"] / scale, f["z"], frame, params)
 
     async def _next_message(
-        self, received: asyncio.Queue[tuple[str, dict[str, Any]]], request: Any, kind: int, what: str, wanted: str | None = None
+        self, received: _Received, request: Any, kind: int, what: str, wanted: str | None = None
     ) -> tuple[str, dict[str, Any]]:  # fmt: skip
         """Return the next message of this transfer; repeats the last request meanwhile.
 
@@ -181,7 +216,8 @@ class Plans:
                         if fields.get("mission_type", 0) != kind:
                             continue
                         if name == "MISSION_ACK" and wanted is not None:
-                            self._check(fields["type"], f"the {what} was ended")
+                            if refusal := self._refusal(fields["type"], f"the {what} was ended"):
+                                raise refusal
                             continue
                         if wanted is None or name == wanted:
                             return name, fields
@@ -190,20 +226,33 @@ class Plans:
                 self._hub.send(self._vehicle, request)
         raise DeviceTimeout(f"the vehicle stopped responding during the {what} of a plan")
 
+    @contextmanager
+    def _following(self, *names: str) -> Generator[_Received]:
+        """Collect messages that the vehicle sends to this gateway, while entered."""
+        received = _Received()
+
+        def take(frame: Frame) -> None:
+            fields = frame.fields()
+            if self._hub.is_target(fields):
+                received.put_nowait((frame.definition.name, fields))
+
+        with ExitStack() as stack:
+            for name in names:
+                stack.enter_context(self._vehicle.listening(name, take))
+            yield received
+
     @staticmethod
-    def _check(result: int, what: str) -> None:
-        if result != 0:
-            raise DeviceRejected(f"{what}: {_RESULTS.get(result, f'result {result}')}")
+    def _refusal(result: int, what: str) -> DeviceRejected | None:
+        if result == 0:
+            return None
+        return DeviceRejected(f"{what}: {_RESULTS.get(result, f'result {result}')}")
 
 
-def _following(
-    vehicle: Vehicle, received: asyncio.Queue[tuple[str, dict[str, Any]]], *names: str
-) -> Any:
-    stack = ExitStack()
-
-    def take(frame: Frame) -> None:
-        received.put_nowait((frame.definition.name, frame.fields()))
-
-    for name in names:
-        stack.enter_context(vehicle.listening(name, take))
-    return stack
+def _are_alike(sent: Sequence[Item], kept: Sequence[Item]) -> bool:
+    """Return whether a vehicle keeps a plan, whose frames and heights it may write in another way."""
+    return len(sent) == len(kept) and all(
+        a.command.removeprefix("MAV_CMD_") == b.command.removeprefix("MAV_CMD_")
+        and abs(a.latitude - b.latitude) < _NEAR
+        and abs(a.longitude - b.longitude) < _NEAR
+        for a, b in zip(sent, kept, strict=True)
+    )

@@ -111,7 +111,9 @@ class Setpoints:
             if await vehicle.until(
                 lambda: vehicle.received_at.get("ATTITUDE", 0.0) >= since, _ANSWER
             ):
-                return vehicle.latest["ATTITUDE"].fields()["yaw"]
+                yaw = vehicle.latest["ATTITUDE"].fields()["yaw"]
+                if math.isfinite(yaw):
+                    return yaw
         except RcpError:  # the vehicle does not have the message, or does not respond
             vehicle.check()
         if vehicle.received_at.get("GLOBAL_POSITION_INT", 0.0) >= since - _ANSWER:

@@ -315,7 +315,7 @@ class Stop:
 
         def take(frame: Frame) -> None:
             ack = frame.fields()
-            own = ack.get("target_system", 0) in (0, self._hub.config.source_system)
+            own = self._hub.is_target(ack)
             if own and ack["command"] == number and ack["result"] not in (_ACCEPTED, _IN_PROGRESS):
                 attempt.refusals += 1
 
@@ -456,11 +456,12 @@ class Stop:
         self._sent = now
         if vehicle.armed and not self._lands_itself(rung):
             standing = self._measurement.standing
-            self._commands.send_once(_STAND if standing else _command(rung, vehicle))
+            command = _STAND if standing else _command(rung, vehicle)
+            self._commands.send_once(command, urgent=True)
             if not standing and vehicle.family.px4 and rung.group == "hold":
-                self._commands.send_once(PAUSE_PX4)
+                self._commands.send_once(PAUSE_PX4, urgent=True)
             if rung.group == "terminate":
-                self._commands.send_once(_FALL)
+                self._commands.send_once(_FALL, urgent=True)
         self._request(_HEARTBEAT)
 
     def _needs_mode_first(self, now: float) -> bool:
@@ -479,7 +480,7 @@ class Stop:
 
     def _request(self, message: float) -> None:
         self._requested = time.monotonic()
-        self._commands.send_once(Command(_REQUEST, (message, 0.0, 0.0, 0.0)))
+        self._commands.send_once(Command(_REQUEST, (message, 0.0, 0.0, 0.0)), urgent=True)
 
 
 def _command(rung: Rung, vehicle: Vehicle) -> Command:

@@ -51,6 +51,8 @@ class GroundStation:
             signing.secret_key, signing.sign_outgoing = vehicle.options.key, True
             signing.timestamp = round((time.time() - _EPOCH) * 1e5)
         self._transfer: Transfer | None = None
+        self._done: Transfer | None = None
+        """The last upload that was complete."""
         self._ftp = Ftp(vehicle, self.send)
         self._params: list[str] = []
         self._log: tuple[int, int, int] | None = None
@@ -240,12 +242,20 @@ class GroundStation:
     def _mission_item(self, message: Any) -> None:
         transfer = self._transfer
         if transfer is None or transfer.plan.kind != message.mission_type:
+            client = (message.get_srcSystem(), message.get_srcComponent())
+            result = self._without_transfer(message)
+            self.send(mav.MAVLink_mission_ack_message(*client, result, message.mission_type))
             return
         before = transfer.plan.number
         if transfer.take(message, self.send, self.vehicle.wall):
             self._transfer = None
             if transfer.plan.number != before:
+                self._done = transfer
                 self._stored(transfer.plan, transfer.plan.items)
+
+    def _without_transfer(self, message: Any) -> int:
+        """Return what answers an item that nobody has asked for, as MAV_MISSION_RESULT."""
+        return mav.MAV_MISSION_ERROR
 
     def _stored(self, plan: Plan, items: list[Any]) -> None:
         if plan.items is not items:

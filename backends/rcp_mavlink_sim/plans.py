@@ -57,11 +57,17 @@ class Plan:
 class Transfer:
     """An upload in progress, from one peer."""
 
+    mixes = True
+    """Whether a mission is replaced item by item, as an ArduPilot does, and not at its end."""
+
     def __init__(self, plan: Plan, count: int, peer: tuple[int, int], now: float) -> None:
         self._plan, self._count, self._peer = plan, count, peer
         self._items: list[Item] = []
         self._requested_at = now
         self._tries = 0
+        self._mixes = self.mixes and plan.kind == mav.MAV_MISSION_TYPE_MISSION
+        if self._mixes:
+            plan.items = plan.items[:count]
 
     @property
     def plan(self) -> Plan:
@@ -91,9 +97,7 @@ class Transfer:
     def take(self, message: Any, send: Callable[[Any], None], now: float) -> bool:
         """Handle an item; return whether the transfer is complete."""
         if message.seq != len(self._items):
-            if message.seq > len(self._items):
-                self._end(send, mav.MAV_MISSION_INVALID_SEQUENCE)
-                return True
+            self._answer_unexpected(send)
             return False
         if message.command not in _KNOWN[self._plan.kind] and not self._is_home(message):
             self._end(send, mav.MAV_MISSION_UNSUPPORTED)
@@ -103,6 +107,8 @@ class Transfer:
             return True
         self._items.append(_item(message, self._plan.kind))
         self._tries = 0
+        if self._mixes:
+            self._plan.items = [*self._items, *self._plan.items[len(self._items) :]]
         if len(self._items) < self._count:
             self.request_next(send, now)
             return False
@@ -118,6 +124,14 @@ class Transfer:
 
     def _is_home(self, message: Any) -> bool:
         return self._plan.kind == mav.MAV_MISSION_TYPE_MISSION and message.seq == 0
+
+    def _answer_unexpected(self, send: Callable[[Any], None]) -> None:
+        """Answer an item out of turn, as one sent again, and go on."""
+        self._end(send, mav.MAV_MISSION_INVALID_SEQUENCE)
+
+    def is_last(self, message: Any) -> bool:
+        """Return whether an item is the last one of this upload."""
+        return message.mission_type == self._plan.kind and message.seq == self._count - 1
 
     def _end(self, send: Callable[[Any], None], result: int) -> None:
         send(mav.MAVLink_mission_ack_message(*self._peer, result, self._plan.kind))

@@ -38,6 +38,7 @@ __all__ = ["PROFILE", "Cia402Drive"]
 
 log = structlog.get_logger("rcp.can")
 _PRE_OPERATIONAL, _OPERATIONAL, _START, _RESET = 0x7F, 0x05, 0x01, 0x81
+_NMT_STATE = 0x7F  # the other bit toggles if another master guards the node (CiA 301, 7.2.8.2.2)
 _REACHED, _LIMIT, _ACKNOWLEDGED = 1 << 10, 1 << 11, 1 << 12
 _NEW_SET_POINT, _AT_ONCE = 1 << 4, 1 << 5
 _FAST = 0.05  # s: a set-point older than this is not worth sending
@@ -157,7 +158,8 @@ class Cia402Drive(Drive):
         elif cob == _EMERGENCY:
             self._on_emergency(int(MESSAGES["emergency"][1].decode(message.data)["code"]))
         else:
-            self._on_heartbeat(int(MESSAGES["heartbeat"][1].decode(message.data)["state"]))
+            state = int(MESSAGES["heartbeat"][1].decode(message.data)["state"])
+            self._on_heartbeat(state & _NMT_STATE)
         return True
 
     def _on_heartbeat(self, state: int) -> None:
@@ -184,7 +186,7 @@ class Cia402Drive(Drive):
         return "the drive left the NMT state operational" + (f" ({told})" if told else "")
 
     def _on_emergency(self, code: int) -> None:
-        if code == 0:
+        if code < 0x100:  # 00xx: error reset, or no error (CiA 301, table 26)
             self._emergencies.clear()
         else:
             text = f"{emergency(code)} (0x{code:04X})"

@@ -11,7 +11,7 @@ from msgspec import Meta, Struct
 
 from rcp_can.asking import answer_to
 from rcp_can.bus import Bus, Route
-from rcp_can.drive import Drive, Fault, Identity, Profile, Protection
+from rcp_can.drive import KEPT, Drive, Fault, Identity, Profile, Protection
 from rcp_can.motor_messages import Mode as MotorMode
 from rcp_can.node_change import node_procedure
 from rcp_can.procedure import Procedure
@@ -120,6 +120,7 @@ class MoteusDrive(Drive):
             [(head, pad(payload)) for payload in payloads],
             fd=True,
             switched=self.options.switched,
+            lifetime=KEPT,
             sender=self,
         )
 

@@ -36,6 +36,7 @@ _SAVE = 1  # action of a reboot
 _FAST = 0.05  # s: a set-point older than this is not worth sending
 
 
+_DONE = 1 << 7  # of the controller's flags of firmware 0.5
 _HEARTBEATS = 2  # that may predate a request
 
 
@@ -120,7 +121,9 @@ class OdriveDrive(Drive):
             handler(**layout.decode(message.data))
         return known is not None
 
-    def _on_heartbeat(self, error: int, state: int, result: int, done: int) -> None:
+    def _on_heartbeat(
+        self, error: int, state: int, result: int, done: int, controller: int
+    ) -> None:
         status = self.status
         status.beat = time.monotonic()
         if state == 0 or (self._state not in (0, 1) and state == _IDLE and error & 1):
@@ -128,6 +131,8 @@ class OdriveDrive(Drive):
         self._state, self._result = state, result
         self._unsettled = max(0, self._unsettled - 1)
         status.enabled = state not in (0, _IDLE)
+        if self._version is None and (error or controller & _DONE):
+            done = controller >> 7  # 0.5, which tells no version, has an encoder's error there
         status.reached = bool(done & 1) if self._moving else None
         status.faults = faults_of(error) if error else ()
         status.reports += 1

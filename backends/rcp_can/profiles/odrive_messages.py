@@ -30,7 +30,9 @@ MESSAGES: dict[str, tuple[int, Layout]] = {
     "heartbeat": (
         0x01,
         Layout(
-            "<", Field("error", "I"), Field("state", "B"), Field("result", "B"), Field("done", "B")
+            "<",
+            Field("error", "I"),
+            *(Field(name, "B") for name in ("state", "result", "done", "controller")),
         ),
     ),
     "error": (0x03, Layout("<", Field("active", "I"), Field("disarm_reason", "I"))),

@@ -15,11 +15,18 @@ from msgspec import Meta, Struct
 from rcp_can.asking import answer_to
 from rcp_can.bus import Bus, Route
 from rcp_can.codec import Field, Layout
-from rcp_can.drive import Drive, Profile, Protection, StopFrame
+from rcp_can.drive import KEPT, Drive, Profile, Protection, StopFrame
 from rcp_can.motor_messages import Mode
 from rcp_can.node_change import node_procedure
 from rcp_can.procedure import Procedure
-from rcp_can.profiles.vesc_detection import ALIVE, PRINT, REBOOT, detection_procedure, put_back
+from rcp_can.profiles.vesc_detection import (
+    ALIVE,
+    LONGEST,
+    PRINT,
+    REBOOT,
+    detection_procedure,
+    put_back,
+)
 from rcp_can.profiles.vesc_packets import PING, PONG, SHORT, Assembler, frames
 from rcp_can.profiles.vesc_settings import VescSettings, change_node, read_version
 from rcp_can.settings_procedures import settings_procedures
@@ -38,11 +45,12 @@ _ANSWERS = 0.5  # s
 _PROBED = 0.3  # s for another drive to answer
 _REBOOTS = 5.0  # s within which it has rebooted
 _ASKED = 0.2  # s between two questions whether it has
-_PLACED = 150.0  # s: during a detection it may send no position
 _PLACES = 1.0  # s within which it sends its position again
 _TURN = 4.0  # s for others' requests: storing may take 3 s
 NODES = range(255)
 _STEPS = 6  # tachometer steps per electrical turn
+_WRAP = 1 << 31  # steps at which its counter wraps around
+_FASTER = 3  # times its reported speed, and a turn, that it may have turned on between two counts
 
 MESSAGES: dict[str, tuple[int, Layout]] = {
     "duty": (0, Layout(">", Field("duty", "i", 1e-5))),
@@ -133,6 +141,8 @@ class VescDrive(Drive):
         self._unplaced = False
         """Whether a detection may have ended its reports of position."""
         self._rebooted = self._asked = -math.inf
+        self._tachometer: tuple[int, float] | None = None
+        """Its last count, and when that was received."""
         self.application: bytes | None = None
         self._requests = bus.shared(_OneAtATime, _OneAtATime)
         self.protection = Protection(
@@ -199,7 +209,8 @@ class VescDrive(Drive):
 
         def send() -> None:
             check_fence()
-            self.bus.send_together(frames(payload, to=to, sender=host), sender=self)
+            parts = frames(payload, to=to, sender=host)
+            self.bus.send_together(parts, lifetime=KEPT, sender=self)
 
         route = Route(host, 0xFF, extended=True)
         await answer_to(self.bus, (route,), send, matches, seconds=seconds, once=once)
@@ -305,8 +316,11 @@ class VescDrive(Drive):
         return _PERIOD
 
     def pause(self, signal: str) -> float:
-        """Allow for no position from the beginning of a detection until its status messages are back."""
-        return _PLACED if self._unplaced and signal == "position" else 0.0
+        """Allow for no position from the beginning of a detection until its status messages are back.
+
+        Until then, the motor cannot be enabled: it counts as used, or as not configured.
+        """
+        return LONGEST if self._unplaced and signal == "position" else 0.0
 
     def routes(self) -> tuple[Route, ...]:
         """Return all its identifiers, and that of short answers to the gateway."""
@@ -335,9 +349,25 @@ class VescDrive(Drive):
         self.status.drive_temperature, self.status.motor_temperature = drive, motor
 
     def _on_status_5(self, tachometer: float, voltage: float) -> None:
+        self._look_for_a_boot(int(tachometer))
         self.status.position = tachometer / (_STEPS * self.options.pole_pairs) * 2 * math.pi
         self.status.voltage = voltage
         self.status.moved += 1
+
+    def _look_for_a_boot(self, tachometer: int) -> None:
+        """Detect a reboot by its counter, which begins at 0: set-points would turn it again at once."""
+        status, before = self.status, self._tachometer
+        now = time.monotonic() if status.frame_at is None else status.frame_at
+        self._tachometer = tachometer, now
+        if before is None or self._detecting:
+            return
+        turned = (tachometer - before[0] + _WRAP) % (2 * _WRAP) - _WRAP
+        gap, velocity = max(now - before[1], _PERIOD), status.velocity or 0.0
+        faster = _FASTER if turned * velocity > 0 else 1
+        most = 1 + faster * abs(velocity) * gap / (2 * math.pi)  # turns
+        if abs(turned) > most * _STEPS * self.pole_pairs:
+            self._on = status.enabled = False
+            status.resets, status.reset = status.resets + 1, "the drive rebooted"
 
     def _transmit(self, name: str, *, urgent: bool = False, **values: float) -> None:
         command, layout = MESSAGES[name]

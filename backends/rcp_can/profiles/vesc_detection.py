@@ -27,6 +27,7 @@ __all__ = [
     "DETECT",
     "GET_MOTOR",
     "LAYOUTS",
+    "LONGEST",
     "PRINT",
     "REBOOT",
     "TERMINAL",
@@ -41,7 +42,7 @@ GET_MOTOR, TERMINAL, PRINT, REBOOT, DETECT = 14, 20, 21, 29, 58
 ALIVE = bytes((TERMINAL,)) + b"ping"
 """A command that the firmware discards while a detection runs, and answers with `pong` otherwise."""
 _LONGEST = 180.0  # s
-_TIMEOUT = _LONGEST + 20.0  # s, with what is read and written around it
+LONGEST = _LONGEST + 20.0  # s, with what is read and written around it
 _STORES = 3.0  # s
 _FAULT, _FAULTS = -100, 45
 """A result above -100 is a fault code less 100 (firmware 6)."""
@@ -136,7 +137,7 @@ def detection_procedure(drive: DetectingDrive) -> Sequence[Procedure]:
             input=DetectMotor,
             output=MotorDetected,
             examples=({"power_loss": 60.0},),
-            timeout=_TIMEOUT,
+            timeout=LONGEST,
         ),
     )
 

@@ -63,6 +63,8 @@ class VescTwin(Twin):
         self.boots = 0.3
         """How long it is silent while it reboots, s."""
         self._booting = -math.inf
+        self._origin = 0.0
+        """Where its counter began, rad."""
         self._asker = 0
         self._packets = Assembler()
 
@@ -72,7 +74,7 @@ class VescTwin(Twin):
         self.limits, self.motor = list(self.stored), copy.deepcopy(self.stored_motor)
         self.detection, self._packets = None, Assembler()
         self._left.clear()
-        self._booting = time.monotonic()
+        self._booting, self._origin = time.monotonic(), self.plant.position
 
     def _packet(self, frame: int, data: bytes) -> None:
         """Handle a frame of a packet, or a ping."""
@@ -214,7 +216,7 @@ class VescTwin(Twin):
         if not self.blind and self.every("status", 0.02, now):
             current = plant.torque / self.constant
             self._transmit("status", erpm=plant.velocity / self._per_erpm, current=current)
-            turns = plant.position / (2 * math.pi)
+            turns = (plant.position - self._origin) / (2 * math.pi)
             if self.rest[_RATES] & 0x10:
                 self._transmit("status_5", tachometer=turns * 6 * self.poles, voltage=24.0)
         if self.every("status_4", 0.1, now):

@@ -25,6 +25,8 @@ _NO_PLACE, _NO_VELOCITY, _NO_YAW, _NO_YAW_RATE = 0b111, 0b111000, 1 << 10, 1 << 
 class _Transfer(Transfer):
     """An upload that asks by MISSION_REQUEST_INT; home is no part of a mission."""
 
+    mixes = False
+
     def request_next(self, send: Callable[[Any], None], now: float) -> None:
         """Request the next item."""
         self._requested_at = now
@@ -33,6 +35,9 @@ class _Transfer(Transfer):
 
     def _is_home(self, message: Any) -> bool:
         return False
+
+    def _answer_unexpected(self, send: Callable[[Any], None]) -> None:
+        """Ignore it."""
 
     def _wrong(self, message: Any) -> int | None:
         """Return why an item is refused, as MAV_MISSION_RESULT; parameters may be NaN."""
@@ -52,6 +57,12 @@ class Px4GroundStation(GroundStation):
     """One connection of a ground station."""
 
     transfer = _Transfer
+
+    def _without_transfer(self, message: Any) -> int:
+        """Accept the last item again: the answer to it was lost."""
+        done = self._done
+        is_known = done is not None and done.is_last(message)
+        return mav.MAV_MISSION_ACCEPTED if is_known else mav.MAV_MISSION_ERROR
 
     def __init__(self, vehicle: Vehicle, send_bytes: Callable[[bytes], None]) -> None:
         super().__init__(vehicle, send_bytes)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import threading
+import time
 from typing import Any
 
 from rcp_guard.senders import MissingLibraryError
@@ -19,6 +21,8 @@ _UNSHARED = {
 _STREAMED = frozenset(("socketcand", "remote"))
 """Interfaces over a connection that must be read, or its server stalls."""
 _DRAIN = 1.0  # s
+_ROOM = 0.03  # s that all frames together may wait for room in the queue of SocketCAN
+_FULL = 0.001  # s between two attempts
 
 
 class CanSender:
@@ -36,13 +40,27 @@ class CanSender:
     def send(self) -> None:
         """Send all frames; a failure does not prevent the others."""
         failure: Exception | None = None
+        end = time.monotonic() + _ROOM
         for frame in self._frames:
             try:
-                self._bus.send(frame, timeout=0.01)
+                self._send(frame, end)
             except Exception as error:
                 failure = error
         if failure is not None:
             raise failure
+
+    def _send(self, frame: Any, end: float) -> None:
+        """Send a frame; SocketCAN, whose queue holds ten by default, lets no sender wait for room."""
+        while True:
+            try:
+                self._bus.send(frame, timeout=0.01)
+            except Exception as error:
+                full = getattr(error, "error_code", None) == errno.ENOBUFS
+                if not full or time.monotonic() > end:
+                    raise
+                time.sleep(_FULL)
+            else:
+                return
 
     def _drain(self) -> None:
         with contextlib.suppress(Exception):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import math
 import struct
 import threading
 import time
@@ -281,6 +283,57 @@ async def test_a_stop_of_several_frames_is_sent_in_order_and_replaces_the_one_be
     bus.gate.set()
     await wire.close()
     assert bus.sent == [0, 20, 21, 9]  # the first may have set-points of others
+
+
+class Socket(StuckBus):
+    """A SocketCAN interface at 1 Mbit/s with its usual queue: when that is full, sending fails at once."""
+
+    def __init__(self, *, acknowledged: bool = True) -> None:
+        super().__init__()
+        self._leaves: list[float] = []
+        self._takes = 130e-6 if acknowledged else math.inf
+
+    def send(self, message: can.Message, timeout: float) -> None:
+        now = time.monotonic()
+        self._leaves = [at for at in self._leaves if at > now]
+        if len(self._leaves) >= 10:
+            self._loop.call_soon_threadsafe(self.held.set)
+            text = "Failed to transmit: No buffer space available"
+            raise can.CanOperationError(text, errno.ENOBUFS)
+        self._leaves.append(max([now, *self._leaves]) + self._takes)
+        self.sent.append(message.arbitration_id)
+
+
+async def test_a_burst_beyond_the_queue_of_socketcan_loses_nothing() -> None:
+    bus, lost = Socket(), list[str]()
+    made: Any = bus
+    wire = Wire(made, name="x", queue=99, echoes=False, received=lambda _: None, lost=lost.append)
+    for number in range(60):
+        wire.send(can.Message(arbitration_id=number), lifetime=None, urgent=False)
+    await wire.close()
+    assert bus.sent == list(range(60))
+    assert (wire.failed, lost) == (0, [])
+
+
+async def test_a_queue_of_socketcan_that_stays_full_ends_the_interface_but_not_at_once() -> None:
+    bus, lost = Socket(acknowledged=False), asyncio.Queue[str]()
+    made: Any = bus
+    wire = Wire(
+        made, name="x", queue=99, echoes=False, received=lambda _: None, lost=lost.put_nowait
+    )
+    for number in range(12):
+        wire.send(can.Message(arbitration_id=number), lifetime=0.05, urgent=False, sender="a")
+    with anyio.fail_after(20):
+        await bus.held.wait()
+        wire.send(can.Message(arbitration_id=99), lifetime=None, urgent=True, sender="a")
+        began = time.monotonic()
+        for _ in range(8):
+            wire.send(can.Message(arbitration_id=50), lifetime=None, urgent=False)
+        assert "No buffer space available" in await lost.get()
+    assert time.monotonic() - began > 0.5
+    await wire.close()
+    assert bus.sent == list(range(10))
+    assert wire.failed == 8, "the set-points that waited for room have failed with nobody"
 
 
 async def test_an_unknown_interface_is_a_configuration_error_that_lists_those_there_are() -> None:

@@ -318,6 +318,26 @@ async def test_a_node_that_answers_another_request_alone_is_late_and_the_reason_
         await asking
 
 
+async def test_a_busy_node_that_answers_a_request_later_is_not_two_nodes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rcp_can.sdo._TIMEOUT", 0.02)
+    bus: Any = NoBus()
+    sdo = Sdo(bus, 5)
+    with pytest.raises(DeviceTimeout):
+        await sdo.upload(0x605A)
+    monkeypatch.setattr("rcp_can.sdo._TIMEOUT", 0.5)
+    answer = can.Message(arbitration_id=0x585, data=VALUE, is_extended_id=False)
+    asking = asyncio.ensure_future(sdo.upload(0x605A))
+    await asyncio.sleep(0)
+    sdo.take(answer)  # to the first request
+    await asking
+    sdo.take(answer)  # to the second
+    assert sdo.unasked == 0
+    sdo.take(answer)  # to none
+    assert sdo.unasked == 1
+
+
 async def test_an_abort_of_the_pending_request_ends_it() -> None:
     bus: Any = NoBus()
     sdo = Sdo(bus, 5)

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import struct
 import time
 from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any
 
 import anyio
+import can
 import pytest
 
 from backends.can.rig import MOTORS, Node, motor
+from rcp_can.profiles.vesc import VescDrive, VescOptions
 from rcp_can.sim import make_twin
 from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull
 
@@ -171,6 +176,44 @@ async def test_another_master_that_asks_a_drive_is_no_second_drive() -> None:
         assert rig.faults() == []
 
 
+@pytest.mark.parametrize("where", ["take", "poll", "command"])
+async def test_an_error_in_a_profile_stops_its_motor_and_no_other(
+    where: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    second = make_twin("vesc", 8)
+    table = {"bus": "can0", "profile": "vesc", "node": 8}
+    async with motor("odrive", twins=(second,), motors={"n": table}) as rig:
+        await rig.enable()
+        await rig.ran("service/n/enable")
+        for name in "mn":
+            await rig.write(f"actuator/{name}/velocity", 2.0)
+        await rig.until(lambda: min(rig.twin.plant.velocity, second.plant.velocity) > 1.0)
+
+        def fail(*_: object, **__: object) -> None:
+            raise KeyError("a fault of the profile")
+
+        monkeypatch.setattr(rig.axis.drive, where, fail)
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+        expected = {"take": "feedback_lost"}.get(where, "profile_failed")
+        await rig.host.until(lambda: expected in rig.faults())
+        assert second.plant.velocity > 1.0
+        assert rig.backend.axes["n"].is_fresh("velocity")
+
+
+async def test_another_master_that_guards_a_drive_is_no_loss_of_its_configuration() -> None:
+    async with motor("cia402") as rig:
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 2.0)
+        with Node(rig.channel) as node:
+            resets = rig.axis.status.resets
+            for toggled in (0x85, 0x05, 0x85):  # its answers to that master (CiA 301, 7.2.8.2.2)
+                beat = rig.axis.status.beat
+                node.send(0x705, bytes((toggled,)))
+                await rig.until(lambda b=beat: rig.axis.status.beat > b)
+        assert (rig.axis.status.resets, rig.faults()) == (resets, [])
+        assert rig.axis.driven
+
+
 @pytest.mark.parametrize("profile", ["odrive", "mit"])
 async def test_a_bus_that_takes_no_frames_drops_the_set_point_and_nothing_leaps_after_it(
     profile: str,
@@ -233,3 +276,30 @@ async def test_a_receive_queue_that_overflows_is_an_event_and_the_motor_goes_on(
         await rig.enable()
         await rig.write("actuator/m/velocity", 1.0)
         await rig.until(lambda: rig.twin.plant.velocity > 0.5)
+
+
+async def test_a_vesc_that_reboots_between_two_reports_does_not_turn_again() -> None:
+    async with motor("vesc", timeout=2.0, feedback_timeout=2.0) as rig:
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 8.0)
+        await rig.until(lambda: rig.twin.plant.position > 15.0)
+        assert rig.faults() == []
+        await rig.ordered(rig.twin.boot)
+        await rig.host.until(lambda: "reset" in rig.faults())
+        assert rig.axis.state == "disabled"
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.05)
+        stood = rig.twin.plant.position
+        await asyncio.sleep(0.2)
+        assert abs(rig.twin.plant.position - stood) < 0.05
+        await rig.ran("service/m/enable")
+
+
+@pytest.mark.parametrize(("before", "after"), [(2**31 - 20, -(2**31) + 20), (50, -20), (-40, 40)])
+def test_a_counter_of_a_vesc_that_wraps_or_turns_back_is_no_reboot(before: int, after: int) -> None:
+    bus: Any = SimpleNamespace(shared=lambda _kind, make: make(bus), listen=lambda *_, **__: None)
+    drive = VescDrive(7, VescOptions(), bus)
+    for tachometer in (before, after):
+        data = struct.pack(">ih", tachometer, 240)
+        drive.status.velocity = 0.1 if abs(after - before) < 42 else 120.0
+        drive.take(can.Message(arbitration_id=27 << 8 | 7, data=data))
+    assert drive.status.resets == 0

@@ -98,6 +98,9 @@ async def test_status_messages_are_put_back_whatever_ends_a_detection_that_has_s
             with pytest.raises(error):
                 await running
         assert twin.rest != rest
+        assert rig.axis.limit_of("position") >= ours.LONGEST, "however long that detection took"
+        with pytest.raises(AdapterUnavailable):
+            await rig.enable()
         twin.deaf = False
         await rig.until(lambda: twin.rest == rest and rig.axis.configured)
         assert drive.application is None

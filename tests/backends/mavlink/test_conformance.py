@@ -292,7 +292,9 @@ class MavlinkRig(Hurried, StopRig):
                 return vehicle.calibrations.position == 2
             case "action/turn":
                 return abs(math.remainder(vehicle.body.yaw - result["heading"], math.tau)) < KEPT
-            case "action/orbit" | "action/follow":
+            case "action/orbit":
+                return flight.mode is Mode.GUIDED
+            case "action/follow":
                 return flight.mode is Mode.BRAKE
             case "service/mission/set_current":
                 return flight.mission.current == result["item"]

@@ -84,9 +84,10 @@ async def test_a_target_that_is_lost_ends_it_with_a_hold() -> None:
         await target(pilot, 10.0, valid=0.6)
         id_ = await begun(pilot, None)
         reply = await ended(pilot, id_)
-        assert reply["error"]["code"] == "device_timeout"
+        assert (reply["status"], reply["error"]["code"]) == ("failed", "device_rejected")
         assert "the target was lost" in reply["message"]
-        assert "commanded to hold" in reply["message"]
+        assert reply["message"].endswith("the vehicle was commanded to hold"), "and that is all"
+        assert "on_loss" not in (reply["error"].get("details") or {})
         vehicle = pilot.vehicle
         await eventually(lambda: _is(vehicle.flight.mode is Mode.BRAKE), "it holds")
         await eventually(lambda: _is(speed(vehicle) < 0.3), "it is at rest")
@@ -98,7 +99,7 @@ async def test_one_that_is_too_far_away_is_lost_and_a_cancel_holds() -> None:
     async with follower() as pilot:
         await target(pilot, 500.0, valid=30.0)
         far = await pilot.do("action/follow")
-        assert far["error"]["code"] == "device_timeout"
+        assert far["error"]["code"] == "device_rejected"
         assert "FOLL_DIST_MAX, 100 m" in far["message"]
         await target(pilot, 20.0, valid=30.0)
         id_ = await begun(pilot, None)
@@ -203,7 +204,7 @@ async def test_another_vehicle_of_the_backend_is_followed_until_it_is_lost() -> 
             while (reply := await client.reply(id_, 60.0))["status"] in ("accepted", "in_progress"):
                 pass
             hung.cancel()
-            assert reply["error"]["code"] == "device_timeout"
+            assert reply["error"]["code"] == "device_rejected"
             assert own.vehicle.flight.mode is Mode.BRAKE
 
 

@@ -173,6 +173,20 @@ async def test_one_that_ignores_its_speed_limit_is_told_to_hold() -> None:
         assert "3 m/s requested, but it moves at 9.0 m/s" in reply["message"]
 
 
+async def test_a_hold_that_is_refused_then_is_not_told_as_one() -> None:
+    puppet = Px4Follower()
+    puppet.params["MPC_XY_VEL_MAX"] = (3.0, 9)
+    async with aloft(puppet) as found:
+        await found.robot.parameters.complete.wait()
+        id_ = await found.client.send(type="execute", path=FOLLOW, body=None)
+        await eventually(lambda: _is(found.robot.vehicle.mode == "FOLLOW"), "it follows")
+        puppet.results[176] = lambda _: 4
+        puppet.also.append(lambda: setattr(puppet, "velocity", (9.0, 0.0, 0.0)))
+        reply = await ended(found, id_)
+        assert reply["error"]["code"] == "device_timeout", reply
+        assert "commanded to hold, which it has not confirmed" in reply["message"]
+
+
 class Fenced(Px4Follower):
     """It flies north in a fence round its home, without areas."""
 
@@ -258,7 +272,20 @@ async def test_a_fence_with_areas_that_is_enabled_meanwhile_ends_it() -> None:
         await eventually(lambda: _is(speed(pilot.vehicle) > 0.5), "it follows")
         pilot.vehicle.params.set("FENCE_ENABLE", 1)
         reply = await ended(pilot, id_)
-        assert "areas are not known" in reply["message"], reply
+        assert "was enabled meanwhile, and its areas are not known" in reply["message"], reply
+        assert "leads on" not in reply["message"]
+        assert reply["error"]["remedy"].startswith("Follow again"), reply
+
+
+async def test_so_does_one_whose_limits_come_to_be_unknown() -> None:
+    async with follower(FENCE_TYPE=1.0) as pilot, leading(pilot, 1.0):
+        id_ = await pilot.client.send(type="execute", path=FOLLOW, body=None)
+        await eventually(lambda: _is(speed(pilot.vehicle) > 0.5), "it follows")
+        del pilot.served.life.backend.robots[""].parameters.known["FENCE_ALT_MAX"]
+        pilot.vehicle.params.set("FENCE_ENABLE", 1)
+        reply = await ended(pilot, id_)
+        assert "the parameter FENCE_ALT_MAX of its fence is not known" in reply["message"], reply
+        assert reply["error"]["remedy"].startswith("Follow again"), reply
 
 
 @pytest.mark.parametrize("by", ["estop", "lease"])

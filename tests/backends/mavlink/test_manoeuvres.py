@@ -76,6 +76,9 @@ async def test_an_ardupilot_goes_round_a_point_that_is_given(pilot: Pilot) -> No
     assert max(far) < 8.0
     assert min(far) > 4.0
     await eventually(lambda: _is(speed(vehicle) < 0.3), "it holds")
+    path = "/tenant/t/actuator/cmd_vel"
+    next_ = await pilot.client.request("write", path, body={"linear": {"x": 1.0}}, valid_for=1.0)
+    assert next_["status"] == "completed", "as after move_to"
 
 
 async def test_an_orbit_is_stopped_by_a_cancel_and_an_estop(pilot: Pilot) -> None:

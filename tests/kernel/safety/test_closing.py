@@ -15,7 +15,7 @@ from kernel.world import BOUND, NoOptions
 from rcp_gateway.testing import ScriptedRobot, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
-from rcp_kernel.spi import BackendKind, Host
+from rcp_kernel.spi import BackendKind, Host, MotionState
 
 pytestmark = pytest.mark.anyio
 TWO = HEAD + backend("quick", robot="r1") + backend("late", use="late", robot="r2")
@@ -57,3 +57,38 @@ async def test_a_closed_backend_is_not_halted_again_while_others_close() -> None
                 go.set()
                 await ending
     assert not [one for one in said if one["event"] == "halt_failed"], said
+
+
+async def test_a_backend_that_measures_nothing_while_it_closes_is_not_halted_again() -> None:
+    halts = list[str]()
+
+    class Closing(ScriptedRobot):
+        """At rest until its devices are given up."""
+
+        given_up = False
+
+        def motion(self, robot: str | None) -> MotionState | None:
+            return MotionState(None if self.given_up else True, "closed" if self.given_up else "")
+
+        async def halt(self) -> None:
+            halts.append("given up" if self.given_up else "halted")
+
+    @asynccontextmanager
+    async def late(_config: NoOptions, host: Host) -> AsyncGenerator[ScriptedRobot]:
+        found = Closing(host, Resource(name="action/r2/go", description="Goes."))
+        try:
+            yield found
+        finally:
+            found.given_up = True
+            await asyncio.sleep(0.3)  # several looks at its motion
+
+    one = HEAD + backend("late", use="late", robot="r2")
+    async with AsyncExitStack() as stack, asyncio.timeout(BOUND):
+        served = await stack.enter_async_context(
+            serve(parse(one, "test"), BackendKind("late", NoOptions, late))
+        )
+        for supervisor in served.server.supervisors:
+            await supervisor.settled.wait()
+        reply = await served.client(ADMIN).request("execute", "/system/estop", body={})
+        assert reply["status"] == "completed", reply
+    assert "given up" not in halts
