@@ -42,7 +42,7 @@ test: $(TEST)
 
 dashboard: $(MADE)
 	$(BIN)/python -m pip install -v --no-deps -e .
-	@test -f plugins/rcp_dashboard/static/index.html
+	@test -f plugins/rcp_dashboard/static/index.html.gz
 
 lint: $(TEST)
 	$(BIN)/ruff check .
@@ -98,7 +98,7 @@ $(MADE):
 	@touch $@
 
 define report_missing_pages
-test -f plugins/rcp_dashboard/static/index.html || \
+test -f plugins/rcp_dashboard/static/index.html.gz || \
 	echo "The dashboard's pages could not be built (npm cannot reach its registry);" \
 		"everything else works. \`make dashboard\` retries with full output."
 endef
