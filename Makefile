@@ -103,10 +103,11 @@ test -f plugins/rcp_dashboard/static/index.html.gz || \
 		"everything else works. \`make dashboard\` retries with full output."
 endef
 
-# The tests' dependencies include those of the demo.
+# The tests' dependencies include those of the demo. Byte code of what the demo imports is made when it first runs:
+# that of everything installed would be a third of the work.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing the demo's dependencies"
-	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,mujoco,tls]'
+	@$(PIP) --no-compile -c constraints.txt -e $(CLIENT) -e '.[a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,mujoco,tls]'
 	@$(report_missing_pages)
 	@touch $@
 
