@@ -103,8 +103,8 @@ test -f plugins/rcp_dashboard/static/index.html.gz || \
 		"everything else works. \`make dashboard\` retries with full output."
 endef
 
-# The tests' dependencies include those of the demo. Byte code of what the demo imports is made when it first runs:
-# that of everything installed would be a third of the work.
+# The tests' dependencies include those of the demo. Byte code of what the demo imports is made when it first runs,
+# instead of everything's that is installed.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing the demo's dependencies"
 	@$(PIP) --no-compile -c constraints.txt -e $(CLIENT) -e '.[a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,mujoco,tls]'
