@@ -42,7 +42,7 @@ test: $(TEST)
 
 dashboard: $(MADE)
 	$(BIN)/python -m pip install -v --no-deps -e .
-	@test -f plugins/rcp_dashboard/static/index.html
+	@test -f plugins/rcp_dashboard/static/index.html.gz
 
 lint: $(TEST)
 	$(BIN)/ruff check .
@@ -98,15 +98,16 @@ $(MADE):
 	@touch $@
 
 define report_missing_pages
-test -f plugins/rcp_dashboard/static/index.html || \
+test -f plugins/rcp_dashboard/static/index.html.gz || \
 	echo "The dashboard's pages could not be built (npm cannot reach its registry);" \
 		"everything else works. \`make dashboard\` retries with full output."
 endef
 
-# The tests' dependencies include those of the demo.
+# The tests' dependencies include those of the demo. Byte code of what the demo imports is made when it first runs,
+# instead of everything's that is installed.
 $(DEMO): $(NEEDS) | $(MADE)
 	@echo "Installing the demo's dependencies"
-	@$(PIP) -c constraints.txt -e $(CLIENT) -e '.[a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,mujoco,tls]'
+	@$(PIP) --no-compile -c constraints.txt -e $(CLIENT) -e '.[a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,mujoco,tls]'
 	@$(report_missing_pages)
 	@touch $@
 

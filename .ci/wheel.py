@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
 _DASHBOARD = "rcp_dashboard/"
-_BUILT = ("index.html", "licenses.md")
+_BUILT = ("index.html.gz", "licenses.md")
 _RUNTIME = "rcp_client/codegen/runtime/"
 _FOLDERS = {
     "rcp_client": ("clients/python",),
@@ -43,6 +43,8 @@ def check(wheel: Path) -> str | None:
         sources = [name for name in names if name.startswith(_DASHBOARD + "web/")]
         if not {_DASHBOARD + f"static/{name}" for name in _BUILT} <= set(pages) or sources:
             return f"has {len(pages)} files of the dashboard and its sources {sources}"
+        if twice := [name for name in pages if name + ".gz" in pages]:
+            return f"has {len(twice)} pages compressed and as they were"
     if distribution == "rcp_client" and not (wanted := runtime()) <= set(names):
         return f"lacks {sorted(wanted - set(names))}"
     print(f"{wheel.name}: {len(names)} files in {', '.join(sorted(packages))}")

@@ -141,4 +141,4 @@ if __name__ == "__main__":
         sys.exit(f"Cancelled by someone else: {error.message}")
     except RcpError as error:
         # `rejected`: nothing has moved. `failed`: the robot may have moved; see what it says.
-        sys.exit(f"{error.status}, {error.code}: {error.message} {error.remedy}")
+        sys.exit(f"{error.status}, {error.code}: {error.message.rstrip('.')}. {error.remedy}")

@@ -100,6 +100,7 @@ def npm() -> None:
 
 def deb() -> None:
     """Pack a virtual environment, programs and a unit for Debian; the Python is that of the system."""
+    _need_wheels("deb")
     python = os.environ.get("DEB_PYTHON", "/usr/bin/python3")
     version = run(python, "-c", "import sys; print('%d.%d' % sys.version_info[:2])").strip()
     major, minor = map(int, version.split("."))
@@ -181,6 +182,11 @@ def _filled(text: str, facts: dict[str, str]) -> str:
     return re.sub(r"@([a-z]+)@", lambda mark: facts[mark[1]], text)
 
 
+def _need_wheels(step: str) -> None:
+    if len([*DIST.glob(f"rcp_*-{VERSION}-py3-none-any.whl")]) < 2:
+        raise SystemExit(f"{step}: no wheels in {DIST}: python packaging/build.py wheels {step}")
+
+
 def _builder() -> str | None:
     return next((name for name in _BUILDERS if shutil.which(name)), None)
 
@@ -190,6 +196,7 @@ def container() -> None:
     builder = _builder()
     if builder is None:
         raise SystemExit(f"container: none of {', '.join(_BUILDERS)} is installed")
+    _need_wheels("container")
     base = os.environ.get("RCP_BASE")
     extra = os.environ.get("RCP_BUILD_ARGS", "").split()
     own = [f"VERSION={VERSION}", *([f"BASE={base}"] if base else [])]

@@ -2,7 +2,7 @@
 
     python packaging/verify.py [wheels] [pipx] [uv] [sdist] [npm] [deb] [container] [ros2] [sbom] [docs]
 
-Prints for each way the seconds from nothing to a robot that has driven. A way for which this machine has no tool is told, and
+Prints for each way the seconds from nothing to a robot that has driven, and those of CPU, which other programs change less. A way for which this machine has no tool is told, and
 is a failure if it was named. The Debian package is installed in a bare Debian system: a folder given by `RCP_CHROOT`, made
 by debootstrap with python3, adduser and ca-certificates. `ros2` needs colcon (colcon-core, colcon-ros, colcon-bash); what its launch
 file starts is started without `ros2 launch`, for which there are no wheels.
@@ -14,6 +14,7 @@ import argparse
 import json
 import os
 import re
+import resource
 import secrets
 import select
 import shutil
@@ -345,6 +346,12 @@ WAYS: dict[str, Callable[[Path], None]] = {
 }
 
 
+def _cpu() -> float:
+    """Return the seconds of CPU that the programs which have ended took."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def main() -> None:
     """Try what is named, or everything."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -353,7 +360,7 @@ def main() -> None:
     if unknown := [way for way in named if way not in WAYS]:
         parser.error(f"unknown: {', '.join(unknown)}")
     for way in named or WAYS:
-        began = time.monotonic()
+        began, before = time.monotonic(), _cpu()
         try:
             with TemporaryDirectory() as scratch:
                 WAYS[way](Path(scratch))
@@ -362,7 +369,8 @@ def main() -> None:
                 raise SystemExit(f"{way}: needs {error}") from None
             print(f"{way:<10} not tried: needs {error}", flush=True)
         else:
-            print(f"{way:<10} {time.monotonic() - began:6.1f} s", flush=True)
+            seconds, cpu = time.monotonic() - began, _cpu() - before
+            print(f"{way:<10} {seconds:6.1f} s, {cpu:5.1f} s of CPU", flush=True)
 
 
 if __name__ == "__main__":

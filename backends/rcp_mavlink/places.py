@@ -38,7 +38,9 @@ def fix_of(vehicle: Vehicle) -> Fix:
     fix = vehicle.fix
     if fix is None:
         raise PreconditionFailed(
-            "the vehicle has no position", remedy="Wait for GPS: see sensor/gps."
+            "the vehicle has no position",
+            remedy="Wait until sensor/pose has a value: its estimator needs a fix (sensor/gps), and some "
+            "seconds after the start.",
         )
     return fix
 

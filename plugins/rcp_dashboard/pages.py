@@ -46,7 +46,7 @@ class Pages:
         """Whether the pages were built."""
         if not self.built:
             log.warning("dashboard_not_built", remedy="make dashboard")
-        files["/"] = files.pop("/index.html", None) or File.of(_UNBUILT, "/index.html")
+        files["/"] = files.pop("/index.html", None) or File(_UNBUILT, "/index.html")
 
         @get([*files], sync_to_thread=False)
         def page(request: Asked) -> ASGIApp:
@@ -63,10 +63,8 @@ class Pages:
 def _load(static: Path) -> list[tuple[str, File]]:
     found: list[tuple[str, File]] = []
     for path in static.rglob("*"):
-        if not path.is_file() or path.suffix == ".gz":
-            continue
-        name = "/" + path.relative_to(static).as_posix()
-        packed = path.with_name(path.name + ".gz")
-        body = packed.read_bytes() if packed.is_file() else None
-        found.append((name, File.of(path.read_bytes(), name, body)))
+        if path.is_file():
+            packed = path.suffix == ".gz"  # by the build, which leaves no other copy
+            name = "/" + path.relative_to(static).as_posix().removesuffix(".gz")
+            found.append((name, File(path.read_bytes(), name, packed=packed)))
     return found

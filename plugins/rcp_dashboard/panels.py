@@ -66,7 +66,7 @@ class Panels:
         for name, place in places.items():
             folder = _folder(name, place)
             self.listed[name] = _manifest(name, folder)
-            files[f"{PREFIX}/{name}"] = File.of(_document(name, folder), _INDEX)
+            files[f"{PREFIX}/{name}"] = File(_document(name, folder), _INDEX)
 
         @get([*files], sync_to_thread=False)
         def panel(request: Asked) -> ASGIApp:

@@ -30,6 +30,13 @@ GATEWAY = (
         priority=10,
     )
     + "".join(key(n, f"key-of-{n}-which-is-long", role=held) for n, held in PEOPLE.items())
+    + table(
+        "[envelopes]",
+        name="slowly",
+        paths=["/param/speed_limit"],
+        roles=["operator"],
+        rate={"": 0.01},
+    )
 )
 
 
@@ -169,3 +176,22 @@ async def test_who_has_control_is_seen_and_a_higher_priority_takes_it_over(
         await lena.page.get_by_role("button", name="Take control when free").click()
         await otto.page.get_by_role("button", name="Release control").click()
         await expect(lena.page.get_by_test_id("control")).to_contain_text("You have control")
+
+
+async def test_a_refusal_of_a_value_is_over_when_another_is_entered(
+    browser: Browser, url: str
+) -> None:
+    async with person(browser, url, "otto", "explore?path=/tenant/alpha/param/speed_limit") as tab:
+        form = tab.page.get_by_test_id("ask-write")
+        refusal, value = form.get_by_test_id("refusal"), form.get_by_label("value")
+        write = form.get_by_role("button", name="Write", exact=True)
+        await value.fill("1")
+        await write.click()
+        await expect(form.get_by_test_id("answer")).to_be_visible()
+        await value.fill("1.9")
+        await write.click()
+        await expect(refusal).to_have_attribute("data-code", "out_of_range")
+        await value.fill("1.8")
+        await expect(form.get_by_role("alert")).to_have_count(0)
+        await value.fill("1.9")  # what is entered again was refused all the same
+        await expect(refusal).to_be_visible()

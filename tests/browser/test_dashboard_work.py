@@ -47,6 +47,10 @@ async def test_what_does_not_fit_the_schema_is_not_sent(
     await form.get_by_role("button", name="Write", exact=True).click()
     await expect(form.get_by_role("alert")).to_be_visible()
     await expect(form.get_by_test_id("refusal")).to_have_count(0)
+    await form.get_by_label("value").fill("800")
+    await expect(form.get_by_role("alert")).to_be_visible()
+    await form.get_by_label("value").fill("0.8")
+    await expect(form.get_by_role("alert")).to_have_count(0)
     assert await value(robot, f"{ALPHA}/param/speed_limit") == before
 
 

@@ -284,3 +284,50 @@ func TestALeaseThatIsGrantedAsTheContextEndsIsGivenBack(t *testing.T) {
 		t.Error("it is still held")
 	}
 }
+
+func TestAcquireEndsWithItsContextAndGivesBackWhatIsGrantedLater(t *testing.T) {
+	did, answered := make(chan string, 9), make(chan struct{})
+	server := leases(did, func(do string, _ *http.Request) {
+		if do == "acquire" {
+			<-answered
+		}
+	})
+	defer server.Close()
+	ctx, end := context.WithTimeout(context.Background(), 50*time.Millisecond)
+	defer end()
+	began := time.Now()
+	_, err := Acquire(ctx, New(server.URL, ""), "/tenant/alpha", time.Minute)
+	if took := time.Since(began); !errors.Is(err, context.DeadlineExceeded) || took > attempt/2 {
+		t.Errorf("acquired: %v after %v", err, took)
+	}
+	close(answered)
+	if <-did != "acquire" || <-did != "release" {
+		t.Error("it is still held")
+	}
+}
+
+func TestReleaseEndsSoonAfterItsContext(t *testing.T) {
+	did, answered := make(chan string, 9), make(chan struct{})
+	server := leases(did, func(do string, _ *http.Request) {
+		if do == "release" {
+			<-answered
+		}
+	})
+	defer server.Close()
+	defer close(answered)
+	ctx, end := context.WithTimeout(context.Background(), patience)
+	defer end()
+	lease, err := Acquire(ctx, New(server.URL, ""), "/tenant/alpha", time.Minute)
+	if err != nil {
+		t.Fatal(err)
+	}
+	end()
+	began := time.Now()
+	err = lease.Release(ctx)
+	if took := time.Since(began); !errors.Is(err, context.Canceled) || took > attempt/2 {
+		t.Errorf("released: %v after %v", err, took)
+	}
+	if <-did != "acquire" || <-did != "release" {
+		t.Error("it was not given back")
+	}
+}

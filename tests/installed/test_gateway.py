@@ -135,9 +135,9 @@ for one in distributions():
 def test_the_core_is_small_and_so_is_what_it_brings(programs: Path) -> None:
     rows = (line.split() for line in said(programs, "python", "-c", _SIZES).splitlines())
     sizes = {name: int(size) for name, size in rows if name not in ("pip", "setuptools")}
-    assert sizes["rcp-gateway"] + sizes["rcp-client"] < 13e6  # bytes; 11.7 MB today
-    # 46.8 MB today, half of it brought by Litestar: Faker 9.2, Pygments 4.6, PyYAML 2.9, itself 2.0.
-    assert sum(sizes.values()) < 48.5e6
+    assert sizes["rcp-gateway"] + sizes["rcp-client"] < 9e6  # bytes; 8.6 MB today
+    # 43.7 MB today, half of it brought by Litestar: Faker 9.2, Pygments 4.6, PyYAML 2.9, itself 2.0.
+    assert sum(sizes.values()) < 45e6
 
 
 def test_the_demo_runs_and_says_what_more_there_is(programs: Path, tmp_path: Path) -> None:

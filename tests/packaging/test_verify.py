@@ -30,6 +30,17 @@ def verify(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
         del sys.modules[name]
 
 
+@pytest.mark.parametrize("step", ["deb", "container"])
+def test_what_is_made_of_wheels_says_when_there_are_none(
+    verify: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, step: str
+) -> None:
+    build = sys.modules["build"]
+    monkeypatch.setattr(build, "DIST", tmp_path)
+    monkeypatch.setattr(build, "_builder", lambda: "buildah")
+    with pytest.raises(SystemExit, match=f"build.py wheels {step}"):
+        build.STEPS[step]()
+
+
 def test_a_gateway_that_ignores_its_end_is_ended(
     verify: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

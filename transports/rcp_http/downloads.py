@@ -13,7 +13,7 @@ from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import matches
 from rcp_http.request import HttpRequest
 from rcp_kernel.errors import NotImplementedByRobot, RcpError
-from rcp_web.asgi import Headers, Receive, Send, respond
+from rcp_web.asgi import Headers, Receive, Send, read_parts, respond
 from rcp_web.downloads import RECORDINGS, Download, Recordings
 from rcp_web.ranges import byte_range
 
@@ -22,6 +22,8 @@ __all__ = ["HISTORY", "SENT_AS_LIST", "history_options", "recordings", "send_dow
 HISTORY = ("from", "to", "before", "every", "thin", "fields", "limit", "cursor", "format")
 """Parameters of a read of what was recorded; one of `from`, `to` and `every` makes it one."""
 SENT_AS_LIST = "fields"
+_LONGEST_BODY = 64 * 1024  # bytes
+_BODY_PATIENCE = 10.0  # s
 _STALLED = 60.0  # s that a client may take no bytes
 
 
@@ -54,8 +56,13 @@ async def send_download(
     """Answer with a file, or a part of it where its size is known.
 
     It ends with the session, and as soon as the client is gone: a listener discards what is sent to
-    nobody, and the file would be read to its end.
+    nobody, and the file would be read to its end. A body of the request means nothing, and is read
+    before: from then on, only the end of the connection can come.
+
+    :raises PayloadTooLarge: the body is longer than any that means nothing has to be.
+    :raises DeadlineExceeded: the body did not arrive in time.
     """
+    await read_parts(receive, _LONGEST_BODY, _BODY_PATIENCE)
     size, headers = download.size, _headers(download)
     start, stop, status = 0, size, 200
     if size is not None:

@@ -26,7 +26,8 @@ _WITHIN = ("maplibre-gl",)
 """Packages that come with their dependencies in one file, so that Vite does not see these."""
 _SKIPPED = {"node_modules", ".made", ".svelte-kit", "__pycache__", "test"}
 _PATIENCE = ("--fetch-retries=1", "--fetch-retry-mintimeout=1000", "--fetch-timeout=60000")
-_COMPRESSED = {".html", ".js", ".mjs", ".css", ".svg", ".json", ".md", ".webmanifest"}
+_COMPRESSED = {".html", ".js", ".mjs", ".css", ".svg", ".json", ".webmanifest"}
+"""Kept only so: all clients but a few take gzip. The licences stay as they are, for who reads them in a package."""
 
 
 def sources() -> Iterable[Path]:
@@ -48,7 +49,7 @@ def digest() -> str:
 
 def fresh() -> bool:
     """Return whether the pages exist and match the present sources."""
-    there = _MADE.is_file() and (STATIC / "index.html").is_file()
+    there = _MADE.is_file() and (STATIC / "index.html.gz").is_file()
     return there and _MADE.read_text() == digest()
 
 
@@ -66,10 +67,11 @@ def build() -> None:
     _done(node([vite, "build"], return_completed_process=True, cwd=WEB))
     with _LICENSES.open("a", encoding="utf-8") as file:
         file.writelines(_notices(_LICENSES.read_text(encoding="utf-8")))
-    for path in STATIC.rglob("*"):
+    for path in [*STATIC.rglob("*")]:
         if path.suffix in _COMPRESSED:
             packed = gzip.compress(path.read_bytes(), 9, mtime=0)
             path.with_name(path.name + ".gz").write_bytes(packed)
+            path.unlink()
     _MADE.write_text(now)
 
 

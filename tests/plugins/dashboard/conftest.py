@@ -14,6 +14,7 @@ from transports.robot import KEY, Site, site
 
 INDEX = b"<!doctype html><title>x</title>"
 SCRIPT = b"console.log(1)" * 50
+PICTURE = b"\x89PNG"
 
 
 @pytest.fixture
@@ -22,9 +23,9 @@ def static(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "static"
     (folder / "assets").mkdir(parents=True)
     for name, body in (("index.html", INDEX), ("assets/index-abc.js", SCRIPT)):
-        (folder / name).write_bytes(body)
         (folder / f"{name}.gz").write_bytes(gzip.compress(body))
     monkeypatch.setattr(rcp_dashboard.pages, "STATIC", folder)
+    (folder / "assets" / "dot-abc.png").write_bytes(PICTURE)
     return folder
 
 

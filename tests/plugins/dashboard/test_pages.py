@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import gzip
 import shutil
+import threading
+from asyncio import gather
 from pathlib import Path
 
 import httpx
 import pytest
 
-from plugins.dashboard.conftest import INDEX, SCRIPT
+from plugins.dashboard.conftest import INDEX, PICTURE, SCRIPT
+from rcp_dashboard.files import File
 from transports.robot import Site, site
 
 pytestmark = pytest.mark.anyio
 ASSET = "/assets/index-abc.js"
+PLAIN = "/assets/dot-abc.png"
 DASHBOARD = "[plugins.dashboard]\n"
 
 
@@ -40,8 +45,49 @@ async def test_what_was_compressed_when_it_was_built_is_sent_so(http: httpx.Asyn
         assert packed.headers["content-encoding"] == "gzip"
         assert packed.headers["vary"] == "accept-encoding"
         assert packed.content == body
-        refused = await http.get(path, headers={"accept-encoding": "gzip;q=0, br"})
-        assert "content-encoding" not in refused.headers
+
+
+@pytest.mark.parametrize("accepted", ["identity", "gzip;q=0, br", "", "br"])
+async def test_who_takes_no_gzip_gets_the_same_file_unpacked(
+    http: httpx.AsyncClient, accepted: str
+) -> None:
+    headers = {"accept-encoding": accepted}
+    packed = await http.get(ASSET, headers={"accept-encoding": "gzip"})
+    for path, body in (("/", INDEX), (ASSET, SCRIPT), (PLAIN, PICTURE)):
+        several = await gather(*(http.get(path, headers=headers) for _ in range(4)))
+        assert {answer.content for answer in several} == {body}
+        plain = several[0]
+        assert "content-encoding" not in plain.headers
+        assert plain.headers["content-length"] == str(len(body))
+        assert plain.headers["vary"] == "accept-encoding"
+    plain = await http.get(ASSET, headers=headers)
+    assert plain.headers["etag"] == packed.headers["etag"]
+    again = await http.get(ASSET, headers=headers | {"if-none-match": packed.headers["etag"]})
+    assert again.status_code == 304
+
+
+async def test_a_file_that_was_not_compressed_is_sent_as_it_is(http: httpx.AsyncClient) -> None:
+    answer = await http.get(PLAIN, headers={"accept-encoding": "gzip"})
+    assert answer.content == PICTURE
+    assert answer.headers["content-type"] == "image/png"
+    assert "content-encoding" not in answer.headers
+
+
+async def test_unpacking_keeps_nobody_waiting_and_is_done_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    unpacked: list[int] = []
+
+    def decompress(data: bytes) -> bytes:
+        unpacked.append(threading.get_ident())
+        return real(data)
+
+    real = gzip.decompress
+    monkeypatch.setattr(gzip, "decompress", decompress)
+    file = File(gzip.compress(SCRIPT), ASSET, packed=True)
+    assert await gather(*(file.plain() for _ in range(50))) == [SCRIPT] * 50
+    assert len(unpacked) == 1
+    assert unpacked[0] != threading.get_ident()
 
 
 async def test_a_page_runs_no_script_that_is_not_a_file_of_ours(http: httpx.AsyncClient) -> None:
@@ -71,6 +117,8 @@ async def test_head_tells_the_same_without_a_body(http: httpx.AsyncClient) -> No
         "/assets/",
         "/assets/gone.js",
         "/index.html",
+        "/index.html.gz",
+        ASSET + ".gz",
         "/%2e%2e/pyproject.toml",
         ASSET + "/x",
     ],

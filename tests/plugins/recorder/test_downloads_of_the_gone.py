@@ -6,6 +6,7 @@ import asyncio
 import socket
 import struct
 from collections.abc import AsyncGenerator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -52,11 +53,13 @@ def endless(monkeypatch: pytest.MonkeyPatch) -> Endless:
     return made
 
 
-async def asked(gateway: Gateway) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+async def asked(
+    gateway: Gateway, more: str = "\r\n"
+) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
     url = urlsplit(str(gateway.http.base_url))
     reader, writer = await asyncio.open_connection(url.hostname, url.port, limit=1024)
     head = f"GET /rcp/v1/recordings/a.mcap HTTP/1.1\r\nHost: {url.netloc}\r\n"
-    writer.write(f"{head}Authorization: Bearer {ADMIN}\r\n\r\n".encode())
+    writer.write(f"{head}Authorization: Bearer {ADMIN}\r\n{more}".encode())
     return reader, writer
 
 
@@ -106,5 +109,35 @@ async def test_a_client_that_has_sent_all_and_reads_is_not_gone(
         async with asyncio.timeout(BOUND):
             await reader.readexactly(1_000_000)
             assert not endless.ended.is_set()
+            writer.transport.abort()
+            await endless.ended.wait()
+
+
+async def test_a_body_without_an_end_is_refused_before_anything_is_read(
+    tmp_path: Path, endless: Endless
+) -> None:
+    async with recording(tmp_path, paths=[]) as gateway:
+        reader, writer = await asked(gateway, "Transfer-Encoding: chunked\r\n\r\n")
+        async with asyncio.timeout(BOUND):
+            answer = asyncio.create_task(reader.readline())
+            sent = 0
+            with suppress(ConnectionError):
+                while not answer.done():
+                    writer.write(b"1000\r\n" + bytes(4096) + b"\r\n")
+                    sent += 4096
+                    await writer.drain()
+                    await asyncio.sleep(0)
+            assert (await answer).startswith(b"HTTP/1.1 413")
+        assert sent < 50_000_000
+        assert not endless.begun.is_set()
+        writer.transport.abort()
+
+
+async def test_a_body_that_means_nothing_is_no_fault(tmp_path: Path, endless: Endless) -> None:
+    async with recording(tmp_path, paths=[]) as gateway:
+        reader, writer = await asked(gateway, "Content-Length: 3\r\n\r\nabc")
+        async with asyncio.timeout(BOUND):
+            assert (await reader.readline()).startswith(b"HTTP/1.1 200")
+            await reader.readexactly(200_000)
             writer.transport.abort()
             await endless.ended.wait()

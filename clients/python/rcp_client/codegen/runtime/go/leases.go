@@ -7,6 +7,9 @@ import (
 	"time"
 )
 
+// farewell is how long a lease may be given back for a caller whose context has ended.
+const farewell = time.Second
+
 var errExpired = errors.New("the lease expired: it could not be renewed in time")
 
 // Lease is exclusive control of a part of the tree, renewed until it is released or lost. It holds for everything
@@ -29,27 +32,36 @@ type leaseState struct {
 	Holder string `json:"holder"`
 }
 
+type leaseAnswer struct {
+	state leaseState
+	err   error
+}
+
 // Acquire takes a lease on a scope, such as /tenant/alpha/actuator. It lapses ttl after the last renewal that succeeded.
-// A lease that was granted as ctx ended is given back.
+// A lease that is granted as ctx ends, or afterwards, is given back; Acquire waits at most a second for that.
 func Acquire(ctx context.Context, g *Gateway, scope string, ttl time.Duration) (*Lease, error) {
 	if err := ctx.Err(); err != nil {
 		return nil, err
 	}
 	began := time.Now()
-	state, err := g.leaseAnyway(map[string]any{"do": "acquire", "scope": scope, "ttl": ttl.Seconds()})
-	if err != nil {
-		return nil, err
+	answer := g.leaseAnyway(map[string]any{"do": "acquire", "scope": scope, "ttl": ttl.Seconds()})
+	select {
+	case found := <-answer:
+		if found.err != nil {
+			return nil, found.err
+		}
+		if ctx.Err() == nil {
+			held := &Lease{gateway: g, ttl: ttl, state: found.state}
+			held.Context, held.stop = context.WithCancel(ctx)
+			held.renewed.Add(1)
+			go held.keep(began.Add(ttl))
+			return held, nil
+		}
+		answer <- found
+	case <-ctx.Done():
 	}
-	held := &Lease{gateway: g, ttl: ttl, state: state}
-	held.Context, held.stop = context.WithCancel(ctx)
-	if err := ctx.Err(); err != nil {
-		held.stop()
-		_ = held.Release(ctx)
-		return nil, err
-	}
-	held.renewed.Add(1)
-	go held.keep(began.Add(ttl))
-	return held, nil
+	g.giveBack(answer)
+	return nil, ctx.Err()
 }
 
 // Err returns why the lease was lost, or nil.
@@ -59,15 +71,26 @@ func (l *Lease) Err() error {
 	return l.err
 }
 
-// Release gives the lease back, also if ctx has ended: others wait for it. One that is lost already is no error.
-func (l *Lease) Release(_ context.Context) error {
+// Release gives the lease back, also if ctx has ended: others wait for it. It waits for the answer until a second
+// after the end of ctx. A lease that is lost already is no error.
+func (l *Lease) Release(ctx context.Context) error {
 	l.stop()
 	l.renewed.Wait()
 	if l.Err() != nil {
 		return nil
 	}
-	_, err := l.gateway.leaseAnyway(map[string]any{"do": "release", "lease": l.state.Lease})
-	return err
+	answer := l.gateway.release(l.state)
+	select {
+	case found := <-answer:
+		return found.err
+	case <-ctx.Done():
+	}
+	select {
+	case found := <-answer:
+		return found.err
+	case <-time.After(farewell):
+		return ctx.Err()
+	}
 }
 
 // lose ends the lease, unless it has ended before.
@@ -114,10 +137,34 @@ func (l *Lease) keep(until time.Time) {
 }
 
 // leaseAnyway asks whatever becomes of the caller's context: an answer that nobody takes would leave the lease held.
-func (g *Gateway) leaseAnyway(body map[string]any) (leaseState, error) {
-	within, stop := context.WithTimeout(context.Background(), attempt)
-	defer stop()
-	return g.lease(within, body)
+func (g *Gateway) leaseAnyway(body map[string]any) chan leaseAnswer {
+	answer := make(chan leaseAnswer, 1)
+	go func() {
+		within, stop := context.WithTimeout(context.Background(), attempt)
+		defer stop()
+		state, err := g.lease(within, body)
+		answer <- leaseAnswer{state, err}
+	}()
+	return answer
+}
+
+func (g *Gateway) release(state leaseState) chan leaseAnswer {
+	return g.leaseAnyway(map[string]any{"do": "release", "lease": state.Lease})
+}
+
+// giveBack releases what is still to be granted, in the background if that takes longer than a second.
+func (g *Gateway) giveBack(answer <-chan leaseAnswer) {
+	given := make(chan struct{})
+	go func() {
+		defer close(given)
+		if found := <-answer; found.err == nil {
+			<-g.release(found.state)
+		}
+	}()
+	select {
+	case <-given:
+	case <-time.After(farewell):
+	}
 }
 
 func (g *Gateway) lease(ctx context.Context, body map[string]any) (leaseState, error) {
