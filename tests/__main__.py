@@ -1,7 +1,7 @@
 """Run the tests as `make test` does: `python tests [arguments of pytest]`.
 
 What can runs side by side in several processes, a file's functions or a class in one of them; then
-what is marked `paired`, two at a time, and beside it what only computes, in one process; then, alone,
+what is marked `paired`, two at a time, and beside them, in two more, what only computes; then, alone,
 what is marked `serial`: see `lanes`. A single test, or what is asked for with `-n0`, runs as ever.
 No test runs in the process that counts: one that hangs where nothing can interrupt it ends its own process
 alone, and is told as failed.

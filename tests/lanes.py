@@ -8,8 +8,9 @@ from pathlib import Path
 
 __all__ = ["PHASES", "Lane", "is_alongside", "needless"]
 
-_ALONGSIDE = Path(__file__).parent / "conformance"
-"""Computes in processes of pytest alone: it fills the core that those leave idle who watch robots."""
+_TESTS = Path(__file__).parent
+_ALONGSIDE = ("conformance", "kernel", "plugins/a2a", "plugins/client", "plugins/mcp")
+"""Folders whose tests compute: they fill the cores that those leave idle who watch robots."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Lane:
 
 _REST = Lane("auto", "not alongside and not paired and not serial")
 _PAIRED = Lane("2", "paired and not serial")
-_BESIDE = Lane("1", "alongside and not paired and not serial")
+_BESIDE = Lane("2", "alongside and not paired and not serial")
 _SERIAL = Lane("1", "serial")
 PHASES = (
     (_REST,),
@@ -46,8 +47,8 @@ _MARKS = {_PAIRED.tests: "mark.paired", _SERIAL.tests: "mark.serial"}
 
 
 def is_alongside(path: Path) -> bool:
-    """Tell whether a file's tests run in the lane of their own beside those that are `paired`."""
-    return path.is_relative_to(_ALONGSIDE)
+    """Tell whether a file's tests have a lane of their own beside those that are `paired`."""
+    return any(path.is_relative_to(_TESTS / folder) for folder in _ALONGSIDE)
 
 
 def needless(path: Path, tests: str) -> bool:

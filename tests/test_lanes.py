@@ -28,15 +28,8 @@ def test_a_file_is_imported_where_it_may_have_tests(
 def test_what_runs_alongside_is_not_imported_by_others() -> None:
     file = TESTS / "conformance" / "test_http.py"
     assert is_alongside(file)
+    assert not is_alongside(TESTS / "transports" / "test_http.py")
     assert [each for each in sum(PHASES, ()) if not needless(file, each.tests)] == [BESIDE]
-
-
-def test_what_runs_alongside_neither_measures_time_nor_watches_robots() -> None:
-    """Else its tests would run in the lane of their mark only, whose processes do not import them."""
-    for file in (TESTS / "conformance").glob("test_*.py"):
-        text = file.read_text(encoding="utf-8")
-        assert "mark.paired" not in text, file
-        assert "mark.serial" not in text, file
 
 
 def test_no_folder_is_searched_but_for_files_of_tests(tmp_path: Path) -> None:
