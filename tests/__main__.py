@@ -88,7 +88,9 @@ def _run_all(arguments: list[str], listed: Path) -> int:
 def _run_lanes(lanes: list[Lane], arguments: list[str], listed: Path) -> list[int]:
     """Run lanes at the same time: the first one tells as it goes, the others when all have ended."""
     with ExitStack() as stack:
-        told = [None, *(stack.enter_context(TemporaryFile()) for _ in lanes[1:])]
+        told = [
+            None if lane is lanes[0] else stack.enter_context(TemporaryFile()) for lane in lanes
+        ]
         processes = [
             stack.enter_context(
                 _started(
@@ -100,8 +102,7 @@ def _run_lanes(lanes: list[Lane], arguments: list[str], listed: Path) -> list[in
             for lane, file in zip(lanes, told, strict=True)
         ]
         results = [_ended(process) for process in processes]
-        for file in told[1:]:
-            assert file is not None
+        for file in filter(None, told):
             file.seek(0)
             sys.stdout.write(file.read().decode(errors="replace"))
             sys.stdout.flush()

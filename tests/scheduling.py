@@ -20,7 +20,7 @@ _TOGETHER = {
 _LONGEST = (
     "tests/browser/",
     "tests/backends/mavlink/test_gateway_gone.py",
-    "tests/backends/ros2/test_stop.py",
+    "tests/backends/ros2/test_stop",
     "tests/backends/ros2/test_arm.py",
     "tests/backends/ros2/test_profiles.py",
     "tests/docs/test_examples.py",
