@@ -18,7 +18,7 @@ import psutil
 import pytest
 import structlog
 from _pytest.faulthandler import fault_handler_stderr_fd_key
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 import ahead  # noqa: F401 - first of ours: its clocks are there before anybody keeps one
 from failures import LISTED, Failure, failure, keep, note
@@ -38,7 +38,10 @@ _leading = "PYTEST_XDIST_WORKER" not in os.environ
 
 # How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
 settings.register_profile(
-    "untimed", deadline=None, derandomize=not {"CI", "RCP_CI"}.isdisjoint(os.environ)
+    "untimed",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=not {"CI", "RCP_CI"}.isdisjoint(os.environ),
 )
 settings.load_profile("untimed")
 
