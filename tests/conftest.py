@@ -18,14 +18,15 @@ import psutil
 import pytest
 import structlog
 from _pytest.faulthandler import fault_handler_stderr_fd_key
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 import ahead  # noqa: F401 - first of ours: its clocks are there before anybody keeps one
 from failures import LISTED, Failure, failure, keep, note
+from lanes import is_alongside, needless
 from pairs import left_out
 from rcp_gateway.testing import SteppedClock, SteppedLoop
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
-from scheduling import PROCESSES, Scheduling
+from scheduling import PROCESSES, Scheduling, turn
 
 _under_way: set[str] = set()
 _REST = 120  # s that a test that failed may take to clean up
@@ -37,7 +38,10 @@ _leading = "PYTEST_XDIST_WORKER" not in os.environ
 
 # How long an example takes is the machine's affair: no test is timed. CI tries the same each time.
 settings.register_profile(
-    "untimed", deadline=None, derandomize=not {"CI", "RCP_CI"}.isdisjoint(os.environ)
+    "untimed",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize=not {"CI", "RCP_CI"}.isdisjoint(os.environ),
 )
 settings.load_profile("untimed")
 
@@ -57,6 +61,14 @@ def logging_of_a_test() -> Generator[None]:
     """Let no test's gateway set the log level of another's."""
     with _own_logging():
         yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def garbage_of_a_file() -> Generator[None]:
+    """Let no test look for garbage among what earlier files have left for good: it is most of the objects."""
+    yield
+    gc.collect()
+    gc.freeze()
 
 
 @contextmanager
@@ -115,8 +127,20 @@ def pytest_collection_finish() -> None:
     gc.freeze()
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no file of which a phase runs nothing: it takes a process half as long as its tests."""
+    return True if needless(collection_path, config.option.markexpr) else None
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Mark what runs in the lane beside the `paired` tests."""
+    if is_alongside(item.path):
+        item.add_marker(pytest.mark.alongside)
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what repeats others, unless it is asked for by its name."""
+    """Begin with what takes longest; leave out what repeats others, unless it is asked for by its name."""
+    items.sort(key=lambda item: turn(item.nodeid))
     if any("::" in each for each in config.args):
         return
     repeated = [item for item in items if left_out(item)]

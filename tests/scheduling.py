@@ -6,7 +6,7 @@ from typing import Any
 
 from xdist.scheduler.loadscope import LoadScopeScheduling
 
-__all__ = ["PROCESSES", "Scheduling"]
+__all__ = ["PROCESSES", "Scheduling", "turn"]
 
 PROCESSES = 2
 """For each core, of which about half wait for robots; with three, those that are late fail on a busy machine."""
@@ -17,7 +17,35 @@ _TOGETHER = {
     "tests/docs/test_tour.py": "demo",
 }
 """Files whose tests share what takes long to start."""
+_LONGEST = (
+    "tests/browser/",
+    "tests/backends/mavlink/test_gateway_gone.py",
+    "tests/backends/ros2/test_stop",
+    "tests/backends/ros2/test_arm.py",
+    "tests/backends/ros2/test_profiles.py",
+    "tests/docs/test_examples.py",
+    "tests/docs/test_tour.py",
+    "tests/patrol/",
+    "tests/transports/test_hostile.py",
+    "tests/backends/ros2/test_gateway_gone.py",
+    "tests/plugins/vda5050/",
+    "tests/plugins/guard/",
+    "tests/durability/",
+    "tests/kernel/process/",
+    "tests/backends/fleet/",
+    "tests/installed/",
+    "tests/plugins/ground_stations/",
+    "tests/clients/",
+    "tests/test_hangs.py",
+)
+"""What begins first, in this order: each takes half a minute to ten, and must not be what is waited for."""
 _WAITING = ("tests/backends/can/", "tests/backends/ros2/", "tests/backends/mujoco/")
+
+
+def turn(nodeid: str) -> int:
+    """Tell when a test's turn is, by which to sort: what takes longest is not to begin last."""
+    places = (place for place, files in enumerate(_LONGEST) if nodeid.startswith(files))
+    return next(places, len(_LONGEST))
 
 
 class Scheduling(LoadScopeScheduling):

@@ -17,7 +17,7 @@ from rcp_kernel.values import Encoding
 
 __all__ = ["BOUND", "Client", "MemoryClient", "Message", "decode", "encode"]
 
-BOUND = 20.0  # s that any wait of a test may take, also on a busy machine
+BOUND = 60.0  # s that any wait of a test may take, also on a busy machine
 _FINAL = frozenset(("completed", "failed", "rejected", "cancelled"))
 
 Message = dict[str, Any]

@@ -21,7 +21,7 @@ def found(chromium: str) -> dict[str, Any]:
     """Measure once for all tests of this file."""
     require_pages()
     done = subprocess.run(
-        [sys.executable, SCRIPT, "--seconds", "15", "--chromium", chromium, "--json"],
+        [sys.executable, SCRIPT, "--seconds", "10", "--chromium", chromium, "--json"],
         capture_output=True,
         text=True,
         timeout=150,

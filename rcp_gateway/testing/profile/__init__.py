@@ -47,9 +47,6 @@ class ProfileSuite(MobileTests, SensingTests, PowerTests, ReachingTests, FlyingT
     What the robot does not claim is skipped, and must be refused.
     """
 
-    profiles: tuple[str, ...] = ()
-    """The standard profiles that it claims, by name; included ones need not be named."""
-
     def test_no_test_of_the_profile_suite_is_changed_without_a_reason(self) -> None:
         """See that nothing was overridden or taken out but under xfail with a reason."""
         assert self.altered(ProfileSuite) == []

@@ -10,7 +10,7 @@ from typing import Any
 
 from rcp_gateway.testing._suite import eventually
 from rcp_gateway.testing.backend._base import Robot
-from rcp_gateway.testing.profile._rig import Body, ProfileRig
+from rcp_gateway.testing.profile._rig import Body, ProfileRig, needs
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import value_type
 
@@ -56,16 +56,16 @@ class DriveTests(ProfileRig):
         except AssertionError:
             raise AssertionError(f"{what} is {found:g}, and was commanded {wanted:g}") from None
 
+    @needs("actuator/cmd_vel")
     async def test_a_forward_velocity_moves_it_ahead(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel")
         async with self.driven(self.speed) as start:
             ahead, left = await self._travels(start)
             assert ahead > 0, f"it moved {-ahead:g} m back"
             assert abs(left) < 0.3 * ahead, f"it moved {left:g} m to the left of straight ahead"
             await self._reaches("its speed, in m/s,", self.speed, "forward")
 
+    @needs("actuator/cmd_vel")
     async def test_a_negative_velocity_moves_it_back(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel")
         reply = await self.ask(
             "write", "actuator/cmd_vel", body={"linear": {"x": -self.speed}}, dry_run=True
         )
@@ -76,8 +76,8 @@ class DriveTests(ProfileRig):
             ahead, _ = await self._travels(start)
             assert ahead < 0, f"it moved {ahead:g} m ahead"
 
+    @needs("actuator/cmd_vel")
     async def test_a_positive_yaw_rate_turns_it_left(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel")
         if not self.turn:
             reply = await self.ask("write", "actuator/cmd_vel", body={"angular": {"z": 0.1}})
             assert reply["status"] == "rejected", f"it cannot turn, and takes a yaw rate: {reply}"
@@ -103,8 +103,8 @@ class DriveTests(ProfileRig):
             assert turned > 0, f"it turned {-turned:g} rad to the right"
             await self._reaches("its yaw rate, in rad/s,", self.turn, "yaw_rate")
 
+    @needs("actuator/cmd_vel")
     async def test_a_velocity_to_the_left_moves_it_left_or_is_refused(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel")
         value = {"linear": {"y": self.speed}}
         await self.make_ready()
         start = await self.body()
@@ -117,8 +117,8 @@ class DriveTests(ProfileRig):
             assert reply["error"]["code"] in ("out_of_range", "invalid_value"), reply
             assert math.hypot(*(await self.body()).ahead_of(start)) < _WAY
 
+    @needs("actuator/cmd_vel")
     async def test_it_stops_when_the_command_lapses(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel")
         await self.make_ready()
 
         async def moves() -> bool:
@@ -130,8 +130,8 @@ class DriveTests(ProfileRig):
         await eventually(moves, "it moves", self.complete_within)
         await self.rests("the command's time is over")
 
+    @needs("actuator/cmd_vel")
     async def test_a_hold_stops_it(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel")
         await self.make_ready()
         await self.drive(self.speed)
 
@@ -143,8 +143,8 @@ class DriveTests(ProfileRig):
         body = await self.body()
         assert not body.moves, f"the hold is completed, but the robot moves: {body}"
 
+    @needs("actuator/cmd_vel", "sensor/velocity")
     async def test_its_velocity_is_told_as_it_is(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel", "sensor/velocity")
         async with self.driven(self.speed, turn=self.turn):
             reported: Any = None
             body: Body | None = None
@@ -166,8 +166,8 @@ class DriveTests(ProfileRig):
             except AssertionError:
                 raise AssertionError(f"sensor/velocity is {reported}, not {body}") from None
 
+    @needs("actuator/cmd_vel", "sensor/pose")
     async def test_its_pose_is_told_as_it_is(self, robot: Robot) -> None:
-        self.needs("actuator/cmd_vel", "sensor/pose")
         async with self.driven(self.speed, turn=self.turn) as start:
             await self._travels(start)
         await self._pose_is_true()
@@ -211,16 +211,16 @@ class MobileTests(DriveTests):
         assert math.hypot(end["x"] - body.x, end["y"] - body.y) <= self.near, (end, body)
         return feedback
 
+    @needs("action/move_to")
     async def test_it_goes_one_metre_along_x(self, robot: Robot) -> None:
-        self.needs("action/move_to")
         await self._goes(self.hop, 0.0)
 
+    @needs("action/move_to")
     async def test_it_goes_one_metre_along_y(self, robot: Robot) -> None:
-        self.needs("action/move_to")
         await self._goes(0.0, self.hop)
 
+    @needs("action/move_to")
     async def test_its_feedback_tells_the_metres_and_seconds_left(self, robot: Robot) -> None:
-        self.needs("action/move_to")
         feedback = await self._goes(self.hop, 0.0)
         left = [one["distance_remaining"] for one in feedback]
         assert left, "no feedback came"
@@ -235,8 +235,8 @@ class MobileTests(DriveTests):
         times = [one["eta"] for one in feedback if one["eta"] is not None]
         assert not times or times[-1] <= times[0] + 1.0, f"the time left rises: {times}"
 
+    @needs("action/move_to")
     async def test_it_turns_to_the_heading_of_its_goal(self, robot: Robot) -> None:
-        self.needs("action/move_to")
         await self.make_ready()
         start = await self.body()
         yaw = math.remainder(start.yaw + 1.0, math.tau)
@@ -251,8 +251,8 @@ class MobileTests(DriveTests):
         found = (await self.body()).yaw
         assert abs(math.remainder(found - yaw, math.tau)) < 0.2, f"heads {found:g}, not {yaw:g}"
 
+    @needs("action/move_to")
     async def test_a_frame_that_it_does_not_know_is_refused(self, robot: Robot) -> None:
-        self.needs("action/move_to")
         await self.make_ready()
         start = await self.body()
         goal = {"position": {"x": start.x + 1.0, "y": start.y}, "frame": "no_such_frame"}
@@ -269,8 +269,8 @@ class MobileTests(DriveTests):
             raise AssertionError(f"the backend took a goal in a frame that there is not: {result}")
         assert math.hypot(*(await self.body()).ahead_of(start)) <= self.near
 
+    @needs("action/move_to", "param/speed_limit")
     async def test_it_keeps_to_the_speed_limit(self, robot: Robot) -> None:
-        self.needs("action/move_to", "param/speed_limit")
         await self.make_ready()
         before = await self.fresh("param/speed_limit")
         top = await self._fastest(self.hop)

@@ -6,7 +6,7 @@ import math
 from typing import ClassVar
 
 from rcp_gateway.testing.backend._base import Robot
-from rcp_gateway.testing.profile._rig import ProfileRig
+from rcp_gateway.testing.profile._rig import ProfileRig, needs
 
 __all__ = ["FlyingTests"]
 
@@ -30,8 +30,8 @@ class FlyingTests(ProfileRig):
         """Return its latitude and longitude, deg."""
         raise NotImplementedError
 
+    @needs("action/arm", "action/disarm")
     async def test_it_arms_and_disarms(self, robot: Robot) -> None:
-        self.needs("action/arm", "action/disarm")
         await self.land()
         for verb, wanted in (("arm", True), ("disarm", False)):
             result, _ = await self.run(f"action/{verb}", None)
@@ -39,8 +39,8 @@ class FlyingTests(ProfileRig):
             assert result["armed"] is wanted, result
             assert await self.fresh("sensor/armed") is wanted
 
+    @needs("action/takeoff")
     async def test_it_takes_off_to_its_height_and_lands(self, robot: Robot) -> None:
-        self.needs("action/takeoff")
         await self.land()
         ground = (await self.body()).z
         await self.run("action/arm", None)
@@ -55,8 +55,8 @@ class FlyingTests(ProfileRig):
         assert abs(left) <= self.level, f"it landed {left:g} m above the ground"
         assert not await self.armed(), "it landed and is armed"
 
+    @needs("action/return_home", "action/takeoff", "action/move_to")
     async def test_it_returns_to_where_it_took_off(self, robot: Robot) -> None:
-        self.needs("action/return_home", "action/takeoff", "action/move_to")
         await self.land()
         home = await self.body()
         await self.run("action/arm", None)
@@ -72,8 +72,8 @@ class FlyingTests(ProfileRig):
             assert abs(body.z - home.z) <= self.level, f"it is {body.z - home.z:g} m up"
             assert not await self.armed(), "it returned and is armed"
 
+    @needs("action/takeoff", "action/move_to")
     async def test_it_keeps_its_height_on_the_way_to_a_goal_without_one(self, robot: Robot) -> None:
-        self.needs("action/takeoff", "action/move_to")
         await self.make_ready()
         start = await self.body()
         assert abs(start.z) > 2 * self.level, f"{start.z:g} m up: a descent to 0 would not be seen"
@@ -84,16 +84,16 @@ class FlyingTests(ProfileRig):
             risen = (await self.body()).z - start.z
             assert abs(risen) <= self.level, f"to a goal with {there}, it rose {risen:g} m"
 
+    @needs("sensor/gnss")
     async def test_its_satellites_tell_where_it_is(self, robot: Robot) -> None:
-        self.needs("sensor/gnss")
         told = await self.fresh("sensor/gnss")
         latitude, longitude = await self.geographic()
         north = (told["latitude"] - latitude) * _DEGREE
         east = (told["longitude"] - longitude) * _DEGREE * math.cos(math.radians(latitude))
         assert math.hypot(north, east) <= _GNSS, f"tells {told}, is at {latitude}, {longitude}"
 
+    @needs("sensor/orientation")
     async def test_its_orientation_is_told_as_it_is(self, robot: Robot) -> None:
-        self.needs("sensor/orientation")
         await self.make_ready()
         turn = (await self.fresh("sensor/orientation"))["orientation"]
         yaw = math.atan2(

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from rcp_gateway.testing._suite import eventually
 from rcp_gateway.testing.backend._base import Robot
-from rcp_gateway.testing.profile._rig import ProfileRig
+from rcp_gateway.testing.profile._rig import ProfileRig, needs
 
 __all__ = ["ReachingTests"]
 
@@ -30,8 +30,8 @@ class ReachingTests(ProfileRig):
         off = {name: joints[name] for name in goal if abs(joints[name] - goal[name]) > _JOINT}
         assert not off, f"joints at {off}, not at {dict(goal)}"
 
+    @needs("action/move_joints")
     async def test_joints_go_where_they_are_sent_and_others_stay(self, robot: Robot) -> None:
-        self.needs("action/move_joints")
         first, before = await self._first_joint()
         goal = {first: before[first] + self.reach}
         result, feedback = await self.run("action/move_joints", {"positions": goal})
@@ -41,8 +41,8 @@ class ReachingTests(ProfileRig):
         assert all(b - a <= _JOINT for a, b in itertools.pairwise(left)), left
         assert not left or left[0] <= self.reach + _JOINT, f"{left[0]} of {self.reach} is left"
 
+    @needs("sensor/joint_states", "action/move_joints")
     async def test_joint_states_are_told_as_they_are(self, robot: Robot) -> None:
-        self.needs("sensor/joint_states", "action/move_joints")
         first, before = await self._first_joint()
         await self.run("action/move_joints", {"positions": {first: before[first] + self.reach}})
         reported: dict[str, float] = {}  # of several samples: each may have some of the joints
@@ -64,16 +64,16 @@ class ReachingTests(ProfileRig):
             what = f"has no {missing}" if missing else f"is {reported}, not {dict(actual)}"
             raise AssertionError(f"sensor/joint_states {what}") from error
 
+    @needs("action/move_joints")
     async def test_a_joint_that_there_is_not_is_refused(self, robot: Robot) -> None:
-        self.needs("action/move_joints")
         first, before = await self._first_joint()
         goal = {first: before[first] + self.reach, "no_such_joint": 0.0}
         reply = await self.ask("execute", "action/move_joints", body={"positions": goal})
         assert reply["status"] == "rejected", reply
         await self._are_at(before)
 
+    @needs("action/follow_trajectory")
     async def test_a_trajectory_passes_its_waypoints_in_order(self, robot: Robot) -> None:
-        self.needs("action/follow_trajectory")
         first, before = await self._first_joint()
         there = before[first] + self.reach
         points = [
@@ -95,8 +95,8 @@ class ReachingTests(ProfileRig):
         assert final["status"] == "completed", final
         await self._are_at(before)
 
+    @needs("action/move_tool")
     async def test_the_tool_goes_where_it_is_sent(self, robot: Robot) -> None:
-        self.needs("action/move_tool")
         await self.make_ready()
         x, y, z = await self.tool()
         goal = (x, y, z - self.near / 2)
@@ -105,16 +105,16 @@ class ReachingTests(ProfileRig):
         off = math.dist(await self.tool(), goal)
         assert off <= self.near / 4, f"the tool is {off:g} m off, but reports {result['error']:g}"
 
+    @needs("sensor/tool_pose")
     async def test_the_tools_pose_is_told_as_it_is(self, robot: Robot) -> None:
-        self.needs("sensor/tool_pose")
         await self.make_ready()
         reported = (await self.fresh("sensor/tool_pose"))["position"]
         actual = await self.tool()
         off = math.dist((reported["x"], reported["y"], reported["z"]), actual)
         assert off <= _JOINT, f"sensor/tool_pose is {reported}, not {actual}"
 
+    @needs("action/move_gripper", "sensor/gripper")
     async def test_the_gripper_opens_and_closes(self, robot: Robot) -> None:
-        self.needs("action/move_gripper", "sensor/gripper")
         await self.make_ready()
         wide = await self.opening()
         for width in (wide / 2, wide) if wide > _FINGER else (0.02, 0.0):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
 
@@ -12,11 +13,14 @@ import pytest
 
 from rcp_gateway.testing._client import Message
 from rcp_gateway.testing._suite import eventually
-from rcp_gateway.testing.backend._base import BackendTests
+from rcp_gateway.testing.backend._base import BackendTests, Robot
 from rcp_kernel.model import full_path
+from rcp_profiles import STANDARD
 
-__all__ = ["Body", "ProfileRig"]
+__all__ = ["Body", "ProfileRig", "needs"]
 
+_NEEDED = "needed"
+_Test = Callable[[Any, Robot], Awaitable[None]]
 _LASTING = 600.0  # s: long enough that no dead-man ends a velocity during a test
 
 
@@ -59,6 +63,21 @@ class Body(msgspec.Struct, frozen=True, kw_only=True):
         return math.remainder(self.yaw - other.yaw, math.tau)
 
 
+def needs(*names: str) -> Callable[[_Test], _Test]:
+    """Skip a test of resources that the robot does not offer under its profiles."""
+
+    def of(test: _Test) -> _Test:
+        @functools.wraps(test)
+        async def proved(self: Any, robot: Robot) -> None:
+            self.needs(*names)
+            await test(self, robot)
+
+        vars(proved)[_NEEDED] = names
+        return proved
+
+    return of
+
+
 class ProfileRig(BackendTests):
     """The probes of a device. A probe measures at the device itself, never through the gateway.
 
@@ -83,6 +102,9 @@ class ProfileRig(BackendTests):
     """Maximum distance from its goal at the end, m."""
     reach: ClassVar[float] = 0.2
     """How far a joint is moved, rad."""
+
+    profiles: tuple[str, ...] = ()
+    """The standard profiles that it claims, by name; included ones need not be named."""
 
     # Given by the author
 
@@ -125,6 +147,21 @@ class ProfileRig(BackendTests):
         raise NotImplementedError
 
     # Used by the tests
+
+    @pytest.fixture(autouse=True)
+    def _claimed_by_its_author(self, request: pytest.FixtureRequest) -> None:
+        """Skip what is in none of its profiles before the device is opened for it."""
+        definitions = (
+            definition
+            for name in self.profiles
+            for profile in STANDARD[name].whole
+            for definition in profile.resources
+        )
+        known = {definition.name for definition in definitions}
+        wanted: tuple[str, ...] = getattr(request.function, _NEEDED, ())
+        for name in wanted:
+            if known and name not in known:
+                pytest.skip(f"it does not claim {name}")
 
     def full(self, name: str) -> str:
         """Return a name of a profile with the robot's segment inserted.

@@ -8,7 +8,7 @@ from typing import Any
 
 from rcp_gateway.testing._suite import eventually
 from rcp_gateway.testing.backend._base import Robot
-from rcp_gateway.testing.profile._rig import ProfileRig
+from rcp_gateway.testing.profile._rig import ProfileRig, needs
 
 __all__ = ["PowerTests", "SensingTests"]
 
@@ -22,8 +22,8 @@ _SIDES = (0.0, math.pi / 2, -math.pi / 2)  # ahead, left, right
 class SensingTests(ProfileRig):
     """Measured values."""
 
+    @needs("sensor/battery")
     async def test_the_battery_tells_what_is_left(self, robot: Robot) -> None:
-        self.needs("sensor/battery")
         reported: Any = None
 
         async def is_true() -> bool:
@@ -37,15 +37,15 @@ class SensingTests(ProfileRig):
             actual = await self.charge()
             raise AssertionError(f"the charge is {actual:g}, but reported as {reported}") from None
 
+    @needs("sensor/camera")
     async def test_the_camera_sends_images_of_the_size_it_tells(self, robot: Robot) -> None:
-        self.needs("sensor/camera")
         image = await self.do("read", "sensor/camera")
         data = base64.b64decode(image["data"])
         sizes = {"png": _png_size, "jpeg": _jpeg_size}
         assert sizes[image["format"]](data) == (image["width"], image["height"])
 
+    @needs("sensor/scan")
     async def test_the_scan_tells_how_far_things_are_on_each_side(self, robot: Robot) -> None:
-        self.needs("sensor/scan")
         await self.make_ready()
         scan = await self.do("read", "sensor/scan")
         beams = [number for side in _SIDES if (number := _beam(scan, side)) is not None]
@@ -64,13 +64,13 @@ class SensingTests(ProfileRig):
 class PowerTests(ProfileRig):
     """Switching of the motors, and resets."""
 
+    @needs("service/reset_system")
     async def test_a_reset_leaves_it_at_rest_and_at_work(self, robot: Robot) -> None:
-        self.needs("service/reset_system")
         await self.do("execute", "service/reset_system")
         assert await self.at_rest()
 
+    @needs("service/enable", "service/disable")
     async def test_torque_is_switched_on_and_off(self, robot: Robot) -> None:
-        self.needs("service/enable", "service/disable")
         for verb, wanted in (("disable", False), ("enable", True), ("disable", False)):
             await self.do("execute", f"service/{verb}")
             assert await self.powered() is wanted, f"{verb} is completed, and torque is not so"

@@ -31,10 +31,17 @@ class Discovery(Wire):
     async def test_it_tells_all_about_a_resource(self, world: World) -> None:
         for encoding in self.encodings:
             client = await world.client(encoding=encoding)
-            world.publish("sensor/level", 1.0)
+
+            async def is_fresh(client: Client = client) -> bool:
+                world.publish("sensor/level", 1.0)
+                (level,) = await _found(client, "/sensor/level")
+                return level["state"] == "fresh"
+
+            # On a busy machine an answer may take longer than the value is fresh.
+            await eventually(is_fresh, "a value that has just come is fresh")
             (level,) = await _found(client, "/sensor/level")
             assert level["path"] == "/tenant/alpha/sensor/level"
-            assert (level["kind"], level["backend"], level["state"]) == ("sensor", "main", "fresh")
+            assert (level["kind"], level["backend"]) == ("sensor", "main")
             assert level["operations"] == ["read", "subscribe"]
             assert level["description"] == "The water level in the tank."
             assert (level["unit"], level["examples"]) == ("m", [1.5])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from rcp_gateway.testing._client import Message
+import itertools
+
+from rcp_gateway.testing._client import Client, Message
 from rcp_gateway.testing._serve import ADMIN
 from rcp_gateway.testing._suite import eventually, proves
 from rcp_gateway.testing.wire._base import Wire, World
@@ -21,13 +23,20 @@ class Reading(Wire):
     @proves("read.sample")
     async def test_a_read_carries_value_time_and_number(self, world: World) -> None:
         world.publish("sensor/level", 1.0, 2.0)
-        for number, encoding in enumerate(self.encodings, 3):
+        numbers = itertools.count(3)
+        for encoding in self.encodings:
             client = await world.client(encoding=encoding)
-            world.robot().host.publish("sensor/level", 3.0, 1_700_000_000_123_456_789)
-            reply = await client.request("read", "/sensor/level")
-            assert (reply["body"], reply["seq"], reply["state"]) == (3.0, number, "fresh")
-            assert parse_time(reply["source_timestamp"]) == 1_700_000_000_123_456_789
-            assert parse_time(reply["timestamp"]) > 1_700_000_000_123_456_789
+
+            async def is_fresh(client: Client = client) -> bool:
+                world.robot().host.publish("sensor/level", 3.0, 1_700_000_000_123_456_789)
+                reply = await client.request("read", "/sensor/level")
+                assert (reply["body"], reply["seq"]) == (3.0, next(numbers))
+                assert parse_time(reply["source_timestamp"]) == 1_700_000_000_123_456_789
+                assert parse_time(reply["timestamp"]) > 1_700_000_000_123_456_789
+                return reply["state"] == "fresh"
+
+            # On a busy machine an answer may take longer than the value is fresh.
+            await eventually(is_fresh, "a value that has just come is fresh")
 
     @proves("read.asked")
     async def test_what_is_not_published_is_asked_of_the_robot(self, world: World) -> None:

@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from failures import failed
+
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("ROS_LOG_DIR", tempfile.gettempdir())
 os.environ.setdefault("HOME", tempfile.gettempdir())
@@ -22,6 +24,7 @@ else:
         warnings.simplefilter("ignore")
         import rosidl_parser.definition
         import rosidl_parser.parser  # noqa: F401
+    from backends.ros2.rig import Rig
     from backends.ros2.robot import Fleet, Peer, Robot, RobotNodes, fresh_domain, robot_of
 
     MAP: dict[str, Any] = {
@@ -105,3 +108,19 @@ else:
         module_robot.samples.clear()
         module_robot.reports.clear()
         return module_robot
+
+    @pytest.fixture(scope="module")
+    def module_rig() -> Iterator[Rig]:
+        rig = Rig()
+        rig.start()
+        yield rig
+        rig.stop()
+
+    @pytest.fixture
+    def rig(module_rig: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
+        """The base at rest, with nobody commanding it."""
+        yield module_rig
+        if failed(request.node):
+            module_rig.replace()
+        else:
+            module_rig.renew()

@@ -25,7 +25,7 @@ from websockets.sync.client import connect
 from backends.ros2.robot import Base, Commander, fresh_domain
 from configuration import backend, key, listener, table
 
-pytestmark = pytest.mark.serial
+pytestmark = pytest.mark.paired
 BOUND = 40.0  # s that any wait of a test may take
 STAYS = 2.0  # s for which the wheels are looked at once they rest
 AFTER = 0.5  # s of `guard_after`

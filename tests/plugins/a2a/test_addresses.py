@@ -8,7 +8,7 @@ from ipaddress import ip_address, ip_network
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from rcp_a2a.addresses import Addresses, Unfit, Unknown
@@ -106,12 +106,15 @@ async def test_a_name_with_one_address_inside_is_refused(monkeypatch: pytest.Mon
 
 
 @given(st.ip_addresses())
+@example(ip_address("2002:102:304::"))  # 6to4: it leads to 1.2.3.4
+@example(ip_address("2002:a00:1::"))  # and to 10.0.0.1
 def test_whatever_is_called_is_on_the_internet_or_listed(address: Any) -> None:
     listed = ip_network("10.7.0.0/16")
     host = f"[{address}]" if address.version == 6 else str(address)
     judge = Addresses(PushConfig(private=(str(listed),)))
     fits = asyncio.run(judge.fits(f"https://{host}/"))
-    plain = getattr(address, "ipv4_mapped", None) or address
+    within = (getattr(address, name, None) for name in ("ipv4_mapped", "sixtofour"))
+    plain = next(filter(None, within), address)
     assert not fits or plain in listed or ip_address(str(plain)).is_global
 
 
