@@ -16,7 +16,8 @@ class CommandObserver(Protocol):
     """Receives every write and execute on a robot, and every stop.
 
     Called on the event loop: must neither block nor await. It cannot refuse anything; an exception
-    is logged and changes nothing.
+    is logged and changes nothing. An observer may have an attribute `writes_only`, read at the start:
+    if it is true, `sent` is not called for executes.
     """
 
     def sent(self, call: Call) -> None:
@@ -48,14 +49,27 @@ class CommandEvents:
 
     def __init__(self) -> None:
         self._observers: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
+        self.of_executes: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
+        """The observers that `executed` notifies."""
 
     def configure(self, observers: Iterable[tuple[CommandObserver, FeatureHealth]]) -> None:
         """Set the observers."""
         self._observers = tuple(observers)
+        self.of_executes = tuple(
+            one for one in self._observers if not getattr(one[0], "writes_only", False)
+        )
 
     def sent(self, call: Call) -> None:
-        """Notify the observers."""
-        for observer, health in self._observers:
+        """Notify the observers of a write."""
+        self._send(self._observers, call)
+
+    def executed(self, call: Call) -> None:
+        """Notify the observers of an execute that is being sent."""
+        self._send(self.of_executes, call)
+
+    @staticmethod
+    def _send(observers: Iterable[tuple[CommandObserver, FeatureHealth]], call: Call) -> None:
+        for observer, health in observers:
             try:
                 observer.sent(call)
             except Exception as error:

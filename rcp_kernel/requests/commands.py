@@ -16,7 +16,8 @@ from typing import Any
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
-from rcp_kernel.contract.fence import end_permit, permit
+from rcp_kernel.contract.containment import ORDINARY, contained, plugin_exit
+from rcp_kernel.contract.fence import current, permit
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import (
     AlreadyRunning,
@@ -147,7 +148,7 @@ class Commands:
 
     def _run(self, command: Command, call: Call, confirm: Confirm) -> None:
         entry, deadline = call.entry, call.request.deadline
-        if not _begins_at_once(entry):
+        if not (entry.parallel or _begins_at_once(entry)):
             self._active[entry.path] = command
         if entry.moves:
             entry.unit.lost = None
@@ -227,7 +228,9 @@ class Commands:
         asked.set((principal, request, slot, command.id))
         permit(entry.unit, entry.unit.stops)
         command.sent = True
-        result = await backend.execute(entry.name, value, partial(self._progress, command, entry))
+        progress = partial(self._progress, command, entry)
+        with contained():
+            result = await backend.execute(entry.name, value, progress)
         try:
             if result is None:
                 return None
@@ -254,8 +257,13 @@ class Commands:
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
-            permit(entry.unit, command.began)
-            result = await backend.execute(entry.name, call.value, progress)
+            current.set((entry.unit, command.began))
+            try:
+                result = await backend.execute(entry.name, call.value, progress)
+            except ORDINARY:
+                raise
+            except BaseException as error:
+                raise plugin_exit(error) from error
         try:
             if work is None and entry.output_type.grows and is_long(result):
                 owner = call.session.principal.identity
@@ -267,7 +275,8 @@ class Commands:
         if command.continuation is None:
             # Not by the task's callback, a turn of the loop later: a result that comes at once is
             # sent together with `accepted`.
-            end_permit()  # what follows from the result is not the robot's any more
+            current.set(None)  # what follows from the result is not the robot's any more
+            asked.set(None)
             command.task = None
             if command.finished is None:
                 self._finish(command, result)

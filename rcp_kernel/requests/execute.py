@@ -47,6 +47,9 @@ from rcp_scheduling.turns import at_once
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
+_RANDOM = 1024  # bytes
+_numbers: list[str] = []
+"""Random numbers for the ids of commands, each used once."""
 _NOTHING = (b"", b"{}", b"null", b"\x80")  # bodies for a path without input
 
 
@@ -171,7 +174,9 @@ class ExecuteHandler:
             value = prepared.run.input
         elif entry.resource.input is None and bytes(request.body) in _NOTHING:
             value = None
-        elif (value := self._frames.goal(session, request, entry)) is None:
+        elif (
+            entry.takes_frame is False or (value := self._goal(session, request, entry)) is None
+        ):
             value = request.decode_body(entry.input_type, f"input of {entry.label}")
         if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
@@ -213,6 +218,12 @@ class ExecuteHandler:
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
         return None
+
+    def _goal(self, session: Session, request: Request, entry: Entry) -> Any:
+        """Return the input in a frame that the robot takes; None: it is so already."""
+        if entry.takes_frame is None:
+            entry.takes_frame = self._frames.takes(entry)
+        return self._frames.goal(session, request, entry) if entry.takes_frame else None
 
     def _would(self, call: Call, prepared: PreparedRun | None) -> Reply:
         """Answer a dry run.
@@ -423,11 +434,18 @@ def _ignore(_: Reply) -> None:
     """Answer nobody."""
 
 
+def _number() -> str:
+    """Return a random number, and put more aside: the operating system takes 3 µs to give some."""
+    random = os.urandom(_RANDOM)
+    _numbers.extend(random[place : place + 8].hex() for place in range(8, _RANDOM, 8))
+    return random[:8].hex()
+
+
 def _command(call: Call) -> Command:
     """Return the command for a call."""
     session, request, entry = call.session, call.request, call.entry
     return Command(
-        id="cmd-" + os.urandom(8).hex(),
+        id="cmd-" + (_numbers.pop() if _numbers else _number()),
         path=entry.path,
         principal=session.principal.name,
         proof=session.principal.proof,

@@ -149,6 +149,7 @@ class Entry:
         "robot",
         "seq",
         "sustained",
+        "takes_frame",
         "tenant",
         "unit",
         "value_type",
@@ -182,6 +183,8 @@ class Entry:
         policy = resource.policy
         self.parallel = policy == "parallel" or (policy is None and self.kind is Kind.SERVICE)
         """Whether commands run beside each other: the default of services."""
+        self.takes_frame: bool | None = None
+        """Whether its input is a goal in a frame that clients name; None: nobody has asked yet."""
         self.is_hold = False
         """Whether it is the gateway's own verb that brings the robot to rest without an e-stop."""
         self.live = resource.live
@@ -223,7 +226,7 @@ class Entry:
             return True
         return self.deadline is not None and self._monotonic() - self._heard > self.deadline
 
-    def publish(self, value: Any, timestamp: int | None) -> Sample:
+    def publish(self, value: Any, timestamp: int | None = None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
         form: Form = "value"
