@@ -5,7 +5,7 @@ Records are bounded: a long value is replaced by its length and SHA-256.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import lru_cache, partial
 from math import isfinite
 from typing import Any
@@ -54,14 +54,16 @@ class Records:
 
     def __init__(self, host: FeatureHost, denials: int) -> None:
         """`denials`: refusals a second of one principal that have records of their own."""
-        self._publish = partial(host.publish, PATH)
+        self._publish: Callable[[Any], object] = partial(host.publish, PATH)
         self._ledger = host.ledger
         self._store = host.ledger.store
         self.throttle = DenialThrottle(host.loop, denials, partial(self.write, "denials"))
 
     def begin(self, host: FeatureHost) -> None:
-        """Find out where records are published, now that the gateway has its tree."""
-        self._publish = host.publisher(PATH)
+        """Find the resource that records are published at, now that the gateway has its tree."""
+        entry = host.robots.entries.get(PATH)
+        if entry is not None:
+            self._publish = partial(entry.publish, timestamp=None)
 
     def note(self, what: str, event: Event, **more: Any) -> bool:
         """Record an event, unless it is only counted; return whether it is recorded."""

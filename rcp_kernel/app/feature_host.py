@@ -62,7 +62,6 @@ class GatewayFeatureHost:
         """Has the view's subscribers get it again."""
         self.publish = changes.tell
         """Publishes a sample of the feature's own."""
-        self.publisher = changes.publisher
         self._store = store
         self._events = events
         self.ledger = ledger

@@ -19,10 +19,9 @@ from typing import Any, Literal
 
 import structlog
 
-from rcp_kernel.app.containment import ContainedBackend
+from rcp_kernel.app.containment import ContainedBackend, call_contained, contained
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import BackendConfig
-from rcp_kernel.contract.containment import call_contained, contained
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError

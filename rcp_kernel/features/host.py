@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, Protocol, TypeVar
 
 from rcp_kernel.access.acl import Rights
@@ -95,13 +95,6 @@ class FeatureHost(Protocol):
 
     def publish(self, path: str, value: Any) -> None:
         """Publish a sample of one of the feature's resources; `SystemResource.shows` filters it."""
-        ...
-
-    def publisher(self, path: str) -> Callable[[Any], object]:
-        """Return a function that publishes samples of one resource, for a feature that has many.
-
-        To be called when the gateway runs: while features are being made, there is no resource.
-        """
         ...
 
     @property

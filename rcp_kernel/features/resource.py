@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Protocol
 
 from rcp_kernel.features.action import Action
@@ -90,8 +89,3 @@ class ViewChanges:
         entry = self._entries.get(path)
         if entry is not None:  # features are made before the tree of the gateway
             entry.publish(value, None)
-
-    def publisher(self, path: str) -> Callable[[Any], object]:
-        """Return a function that publishes samples of one resource."""
-        entry = self._entries.get(path)
-        return partial(self.tell, path) if entry is None else entry.publish

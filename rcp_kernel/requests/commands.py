@@ -16,7 +16,6 @@ from typing import Any
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
-from rcp_kernel.contract.containment import ORDINARY, contained, plugin_exit
 from rcp_kernel.contract.fence import current, permit
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import (
@@ -228,9 +227,7 @@ class Commands:
         asked.set((principal, request, slot, command.id))
         permit(entry.unit, entry.unit.stops)
         command.sent = True
-        progress = partial(self._progress, command, entry)
-        with contained():
-            result = await backend.execute(entry.name, value, progress)
+        result = await backend.execute(entry.name, value, partial(self._progress, command, entry))
         try:
             if result is None:
                 return None
@@ -258,12 +255,7 @@ class Commands:
             result = await work.run(command, call.session, progress)
         else:
             current.set((entry.unit, command.began))
-            try:
-                result = await backend.execute(entry.name, call.value, progress)
-            except ORDINARY:
-                raise
-            except BaseException as error:
-                raise plugin_exit(error) from error
+            result = await backend.execute(entry.name, call.value, progress)
         try:
             if work is None and entry.output_type.grows and is_long(result):
                 owner = call.session.principal.identity

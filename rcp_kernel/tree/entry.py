@@ -226,7 +226,7 @@ class Entry:
             return True
         return self.deadline is not None and self._monotonic() - self._heard > self.deadline
 
-    def publish(self, value: Any, timestamp: int | None = None) -> Sample:
+    def publish(self, value: Any, timestamp: int | None) -> Sample:
         """Create the next sample and offer it to every listener."""
         received = self._now()
         form: Form = "value"
