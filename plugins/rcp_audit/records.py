@@ -193,8 +193,8 @@ def _conclude(facts: dict[str, Any], command: Command, last: Record, *, own: boo
     if error is not None and (origin := error.get("origin")) is not None:
         facts["origin"] = origin[:_TEXT]
     if not own and body is not NO_BODY:
-        usual = type(body) is float and isfinite(body)
-        facts["value"] = body if usual else bounded(body)
+        plain = type(body) is float and isfinite(body)
+        facts["value"] = body if plain else bounded(body)
     if command.custom:
         facts["x"] = bounded(command.custom)
 
@@ -210,7 +210,10 @@ def _value(request: Request, *, hide: bool) -> Any:
         return None
     try:
         json = request.encoding is Encoding.JSON
-        value = bounded(msgspec.json.decode(body) if json else parse(body, request.encoding))
+        value = msgspec.json.decode(body) if json else parse(body, request.encoding)
+        if type(value) is float and isfinite(value):
+            return value
+        value = bounded(value)
     except Exception:  # a body that cannot be decoded is replaced by its hash
         return hashed(body)
     return value if isinstance(value, msgspec.Raw) else hashed(body)

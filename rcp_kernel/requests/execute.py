@@ -174,9 +174,7 @@ class ExecuteHandler:
             value = prepared.run.input
         elif entry.resource.input is None and bytes(request.body) in _NOTHING:
             value = None
-        elif (
-            entry.takes_frame is False or (value := self._goal(session, request, entry)) is None
-        ):
+        elif entry.takes_frame is False or (value := self._goal(session, request, entry)) is None:
             value = request.decode_body(entry.input_type, f"input of {entry.label}")
         if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
