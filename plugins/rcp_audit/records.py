@@ -103,11 +103,11 @@ class Records:
             return
         asker, work, path = command.asker, command.work, command.path
         own = path.startswith("/system/")
-        outline = touches = None
+        outline = None
         if work is not None:
             outline = work.outline(work.report(over=False) if accepted else step.body)
-        if outline is not None if accepted else own:
-            touches = bounded_touches(command.touches)
+        several = outline is not None if accepted else own
+        touches = bounded_touches(command.touches) if several else None
         principal = None if asker is None else asker.principal
         facts = who_did(principal, asker, command.tenant, path, touches)
         what = "execute" if accepted else "command"

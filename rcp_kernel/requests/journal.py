@@ -160,7 +160,8 @@ class CommandJournal:
         await committed(self._store)
 
     def _forget(self, command: Command) -> None:
-        self._store.put(TABLE, command.id, None)
+        if self._store.keeps:
+            self._store.put(TABLE, command.id, None)
 
     def tell_cut_off(self) -> None:
         """Report the interrupted commands to the listeners of all commands."""
