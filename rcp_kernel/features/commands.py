@@ -50,7 +50,7 @@ class CommandEvents:
     def __init__(self) -> None:
         self._observers: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
         self.of_executes: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
-        """The observers that `executed` notifies."""
+        """The observers that hear of executes."""
 
     def configure(self, observers: Iterable[tuple[CommandObserver, FeatureHealth]]) -> None:
         """Set the observers."""
@@ -60,16 +60,9 @@ class CommandEvents:
         )
 
     def sent(self, call: Call) -> None:
-        """Notify the observers of a write."""
-        self._send(self._observers, call)
-
-    def executed(self, call: Call) -> None:
-        """Notify the observers of an execute that is being sent."""
-        self._send(self.of_executes, call)
-
-    @staticmethod
-    def _send(observers: Iterable[tuple[CommandObserver, FeatureHealth]], call: Call) -> None:
-        for observer, health in observers:
+        """Notify the observers: of an execute, those in `of_executes`."""
+        executes = call.request.type == "execute"
+        for observer, health in self.of_executes if executes else self._observers:
             try:
                 observer.sent(call)
             except Exception as error:

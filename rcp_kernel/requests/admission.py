@@ -247,10 +247,8 @@ class Admission:
             return backend
         if self.other_guards and _concerns_guards(call):
             _confirm_all(self.other_guards, call)
-        if not executes:
+        if not executes or self._events.of_executes:
             self._events.sent(call)
-        elif self._events.of_executes:
-            self._events.executed(call)
         return backend
 
 

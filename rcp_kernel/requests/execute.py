@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Coroutine, Generator, Mapping
 from copy import copy
 from functools import partial
@@ -37,7 +36,7 @@ from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
-from rcp_kernel.sessions.command import Command, CommandListener, Record
+from rcp_kernel.sessions.command import Command, CommandListener, Record, command_id
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
@@ -47,9 +46,6 @@ from rcp_scheduling.turns import at_once
 
 __all__ = ["EstopLane", "ExecuteHandler"]
 
-_RANDOM = 1024  # bytes
-_numbers: list[str] = []
-"""Random numbers for the ids of commands, each used once."""
 _NOTHING = (b"", b"{}", b"null", b"\x80")  # bodies for a path without input
 
 
@@ -432,18 +428,11 @@ def _ignore(_: Reply) -> None:
     """Answer nobody."""
 
 
-def _number() -> str:
-    """Return a random number, and put more aside: the operating system takes 3 µs to give some."""
-    random = os.urandom(_RANDOM)
-    _numbers.extend(random[place : place + 8].hex() for place in range(8, _RANDOM, 8))
-    return random[:8].hex()
-
-
 def _command(call: Call) -> Command:
     """Return the command for a call."""
     session, request, entry = call.session, call.request, call.entry
     return Command(
-        id="cmd-" + (_numbers.pop() if _numbers else _number()),
+        id=command_id(),
         path=entry.path,
         principal=session.principal.name,
         proof=session.principal.proof,
