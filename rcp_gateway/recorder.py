@@ -9,8 +9,13 @@ from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.sessions.command import Command, CommandListener, Record
 from rcp_kernel.sessions.session import Answer
 from rcp_kernel.wire import Reply
+from rcp_requests.journal import Idle
 
 __all__ = ["Listener", "Recorder"]
+
+
+class _Busy:
+    idle = False
 
 
 def _ignore(_command: Command, _step: Record) -> None:
@@ -38,6 +43,7 @@ class Listener:
         self.hears_commands = on_command is not None
         self.hears_feedback = feedback
         self.on_command = on_command or _ignore
+        self.state: Idle = on_command if isinstance(on_command, Idle) else _Busy()
         self.health = health
 
     def missed_event(self, event: Event, error: Exception) -> None:

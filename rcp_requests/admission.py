@@ -32,6 +32,7 @@ from rcp_requests.replies import ReplyGate
 __all__ = ["Admission", "Resolver"]
 
 _WHOLE = ("/tenant/", "/system/")
+_EXECUTE, _WRITE = int(Operation.EXECUTE), int(Operation.WRITE)  # as in `Resolver.resolve`
 _AGAIN = 0.5  # s after which to retry a path that may appear
 
 
@@ -220,9 +221,10 @@ class Admission:
         """
         entry, request = call.entry, call.request
         unit = entry.unit
-        called = Operation.EXECUTE if request.type == "execute" else Operation.WRITE
-        if not call.session.rights.masks.get(entry.path, 0) & called.value:
-            self._resolver.check(call.session, entry, called)
+        executes = request.type == "execute"
+        called = _EXECUTE if executes else _WRITE
+        if not call.session.rights.masks.get(entry.path, 0) & called:
+            self._resolver.check(call.session, entry, Operation(called))
         if request.timestamp is not None:
             check_age(entry, request.timestamp)
         if not entry.is_hold:
@@ -245,7 +247,8 @@ class Admission:
             return backend
         if self.other_guards and _concerns_guards(call):
             _confirm_all(self.other_guards, call)
-        self._events.sent(call)
+        if not executes or self._events.of_executes:
+            self._events.sent(call)
         return backend
 
 

@@ -16,7 +16,7 @@ from typing import Any
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
-from rcp_kernel.contract.fence import end_permit, permit
+from rcp_kernel.contract.fence import current, permit
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import (
     AlreadyRunning,
@@ -147,7 +147,7 @@ class Commands:
 
     def _run(self, command: Command, call: Call, confirm: Confirm) -> None:
         entry, deadline = call.entry, call.request.deadline
-        if not _begins_at_once(entry):
+        if not (entry.parallel or _begins_at_once(entry)):
             self._active[entry.path] = command
         if entry.moves:
             entry.unit.lost = None
@@ -254,7 +254,7 @@ class Commands:
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
-            permit(entry.unit, command.began)
+            current.set((entry.unit, command.began))
             result = await backend.execute(entry.name, call.value, progress)
         try:
             if work is None and entry.output_type.grows and is_long(result):
@@ -267,7 +267,8 @@ class Commands:
         if command.continuation is None:
             # Not by the task's callback, a turn of the loop later: a result that comes at once is
             # sent together with `accepted`.
-            end_permit()  # what follows from the result is not the robot's any more
+            current.set(None)  # what follows from the result is not the robot's any more
+            asked.set(None)
             command.task = None
             if command.finished is None:
                 self._finish(command, result)

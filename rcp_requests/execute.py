@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Coroutine, Generator, Mapping
 from copy import copy
 from functools import partial
@@ -23,7 +22,7 @@ from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.partners import Partners
 from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
-from rcp_kernel.sessions.command import Command, CommandListener, Record
+from rcp_kernel.sessions.command import Command, CommandListener, Record, command_id
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.tree.entry import Entry
@@ -170,7 +169,7 @@ class ExecuteHandler:
             value = prepared.run.input
         elif entry.resource.input is None and bytes(request.body) in _NOTHING:
             value = None
-        elif (value := self._frames.goal(session, request, entry)) is None:
+        elif entry.takes_frame is False or (value := self._goal(session, request, entry)) is None:
             value = request.decode_body(entry.input_type, f"input of {entry.label}")
         if entry.path == ESTOP:
             return self._estop(session, request, answer, entry, value)
@@ -212,6 +211,12 @@ class ExecuteHandler:
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
         return None
+
+    def _goal(self, session: Session, request: Request, entry: Entry) -> Any:
+        """Return the input in a frame that the robot takes; None: it is so already."""
+        if entry.takes_frame is None:
+            entry.takes_frame = self._frames.takes(entry)
+        return self._frames.goal(session, request, entry) if entry.takes_frame else None
 
     def _would(self, call: Call, prepared: PreparedRun | None) -> Reply:
         """Answer a dry run.
@@ -426,7 +431,7 @@ def _command(call: Call) -> Command:
     """Return the command for a call."""
     session, request, entry = call.session, call.request, call.entry
     return Command(
-        id="cmd-" + os.urandom(8).hex(),
+        id=command_id(),
         path=entry.path,
         principal=session.principal.name,
         proof=session.principal.proof,

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from itertools import product
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import structlog
 
@@ -39,10 +39,22 @@ _BYTES = 32 * 1024 * 1024  # of the inputs, feedback and results of all finished
 _EMPTY = 1024  # bytes that any command counts for, numbers included
 
 
+@runtime_checkable
+class Idle(Protocol):
+    """What may have nothing to do for a time."""
+
+    @property
+    def idle(self) -> bool:
+        """Whether a step would change nothing for it now."""
+        ...
+
+
 class StepListener(Protocol):
     """A feature that hears each step of all commands."""
 
     on_command: CommandListener
+    state: Idle
+    """While it is idle, the feature is not called."""
     hears_feedback: bool
 
     def missed_step(self, command: Command, step: Record, error: Exception, /) -> None:
@@ -114,7 +126,7 @@ class CommandJournal:
         if status != "in_progress" and self._store.keeps:
             self.keep(command)
         for listener in self.listeners:
-            if status == "in_progress" and not listener.hears_feedback:
+            if listener.state.idle or (status == "in_progress" and not listener.hears_feedback):
                 continue
             try:
                 listener.on_command(command, step)
@@ -148,7 +160,8 @@ class CommandJournal:
         await committed(self._store)
 
     def _forget(self, command: Command) -> None:
-        self._store.put(TABLE, command.id, None)
+        if self._store.keeps:
+            self._store.put(TABLE, command.id, None)
 
     def tell_cut_off(self) -> None:
         """Report the interrupted commands to the listeners of all commands."""

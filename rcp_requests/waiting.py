@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import secrets
 import time
 from weakref import WeakSet
 
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.sessions.command import Command
+from rcp_kernel.sessions.command import Command, command_id
 from rcp_kernel.sessions.session import Session
 from rcp_requests.command_access import CommandAccess, is_own
 from rcp_requests.commands import Commands
@@ -22,7 +21,7 @@ class WaitingCommand:
 
     def __init__(self, session: Session, since: float | None) -> None:
         self.session = session
-        self.id = "cmd-" + secrets.token_hex(8)
+        self.id = command_id()
         """Of the command that it becomes."""
         self.since = time.monotonic() if since is None else since
         self.cancelled = False

@@ -78,8 +78,14 @@ class FrameConverter(Protocol):
         """Return the schema of a command widened by what `frames` allow; None: as it is."""
         ...
 
+    def takes(self, entry: Entry) -> bool:
+        """Return whether a resource's input is a goal in a frame; asked once, as its type stays."""
+        ...
+
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
         """Return the input of a request in a frame that the robot takes; None: it is so already.
+
+        Called for the resources that `takes` accepts.
 
         :raises RcpError: it names a frame from which nothing leads to one that the robot takes.
         """
@@ -114,6 +120,10 @@ class NoFrames:
     ) -> dict[str, Any] | None:
         """Widen nothing."""
         return None
+
+    def takes(self, entry: Entry) -> bool:
+        """Take none."""
+        return False
 
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
         """Convert nothing."""

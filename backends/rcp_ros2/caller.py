@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
@@ -43,6 +42,7 @@ class Caller:
         self._admit = admit
         """Called before a request is sent, in the ROS thread; raises to refuse it."""
         self._client: Any = None
+        self._watch = _Watch(self._fault)
 
     async def call(
         self, request: Any, limit: float, admit: Callable[[], None] | None = None
@@ -54,7 +54,8 @@ class Caller:
         :raises AdapterUnavailable: no node offers the service, or its node has disappeared.
         :raises DeviceTimeout: no response arrived in time.
         """
-        await self._link.present(*self._presence)
+        if not self._link.graph.has(*self._presence):
+            await self._link.present(*self._presence)
         until = time.monotonic() + min(limit, _MATCH)
         while (answer := await self._request(request, limit, admit)) is _UNMATCHED:
             if time.monotonic() >= until:
@@ -67,7 +68,7 @@ class Caller:
         ticket, once = Ticket(self._link.host), Once()
         sent: list[Any] = []
         self._link.ros.submit(self._send, request, ticket, once, sent, admit or self._admit)
-        watch = _Watch(ticket, limit, partial(self._fault, once))
+        self._watch.add(ticket, limit, once)
         try:
             return await ticket.answer()
         except BaseException:  # nobody waits for what may still come
@@ -75,7 +76,7 @@ class Caller:
             self._link.ros.post(self._forget, sent)
             raise
         finally:
-            watch.close()
+            self._watch.remove(ticket)
 
     def _fault(self, once: Once, limit: float, left: float) -> Exception | None:
         """Return why a call with `left` of its `limit` seconds is not waited for any more."""
@@ -136,26 +137,41 @@ def _unanswered(error: AdapterUnavailable) -> AdapterUnavailable:
 
 
 class _Watch:
-    """Ends the wait for one answer, at its limit or because there is nobody to give it."""
+    """Ends the wait for answers, at their limits or because there is nobody to give them.
 
-    def __init__(
-        self, ticket: Ticket, limit: float, fault: Callable[[float, float], Exception | None]
-    ) -> None:
-        self._ticket = ticket
-        self._limit = limit
+    One timer looks after all calls of a service: most are answered long before it rings.
+    """
+
+    def __init__(self, fault: Callable[[Once, float, float], Exception | None]) -> None:
         self._fault = fault
-        self._loop = asyncio.get_running_loop()
-        self._end = self._loop.time() + limit
-        self._alarm = self._loop.call_later(min(limit, _POLL), self._look)
+        self._waiting: dict[Ticket, tuple[Once, float, float]] = {}
+        """For each answer who may send its request, its limit, and when that is over by the loop's clock."""
+        self._alarm: asyncio.TimerHandle | None = None
+        self._rings = 0.0
 
-    def _look(self) -> None:
-        left = self._end - self._loop.time()
-        error = self._fault(self._limit, left)
-        if error is None:
-            self._alarm = self._loop.call_later(min(left, _POLL), self._look)
-        else:
-            self._ticket.refuse(error)
+    def add(self, ticket: Ticket, limit: float, once: Once) -> None:
+        """Look after an answer."""
+        loop = asyncio.get_running_loop()
+        now = loop.time()
+        self._waiting[ticket] = once, limit, now + limit
+        self._ring_at(loop, now + min(limit, _POLL))
 
-    def close(self) -> None:
-        """Look no more."""
-        self._alarm.cancel()
+    def remove(self, ticket: Ticket) -> None:
+        """Look after an answer no more."""
+        del self._waiting[ticket]
+
+    def _ring_at(self, loop: asyncio.AbstractEventLoop, moment: float) -> None:
+        if self._alarm is None or moment < self._rings:
+            if self._alarm is not None:
+                self._alarm.cancel()
+            self._alarm, self._rings = loop.call_at(moment, self._look, loop), moment
+
+    def _look(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._alarm = None
+        now = loop.time()
+        for ticket, (once, limit, end) in list(self._waiting.items()):
+            error = self._fault(once, limit, end - now)
+            if error is None:
+                self._ring_at(loop, min(end, now + _POLL))
+            else:
+                ticket.refuse(error)

@@ -41,8 +41,10 @@ class Ticket:
 
     def give(self, value: Any) -> None:
         """Pass the value, from any thread."""
-        with contextlib.suppress(RuntimeError):  # the event loop is closed: nobody waits
+        try:
             self._host.call_soon(self._set, value, None)
+        except RuntimeError:  # the event loop is closed: nobody waits
+            return
 
     def fail(self, error: BaseException) -> None:
         """Pass an exception, from any thread."""

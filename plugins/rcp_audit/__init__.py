@@ -51,7 +51,7 @@ def _make(tables: AuditTables, host: FeatureHost) -> Feature:
         metrics=metrics,
         resources=(SystemResource(resource=_RESOURCE, shows=disclosure.shown),),
         on_event=log.hear,
-        on_command=log.follow,
+        on_command=log.records.follow,
         feedback=False,
         durability=DelayedReplies(host.ledger, host.loop) if host.ledger.keeps else None,
         status=status,

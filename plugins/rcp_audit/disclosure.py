@@ -6,7 +6,7 @@ from collections import OrderedDict
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
-from rcp_audit.log import PATH
+from rcp_audit.records import PATH
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.model import Operation

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 
-from rcp_audit.log import FULL
+from rcp_audit.records import FULL
 from rcp_kernel.errors import QueueFull
 from rcp_kernel.sessions.session import Answer
 from rcp_kernel.sessions.substitutes import unrecorded

@@ -101,6 +101,10 @@ class Frames:
             found = self._conversions[key] = _Conversion(robot, entry, shape, frame, self._now)
         return found
 
+    def takes(self, entry: Entry) -> bool:
+        """Return whether a resource's input is a goal in a frame."""
+        return entry.tenant is not None and goal_frame(entry.resource.input) is not None
+
     def goal(self, session: Session, request: Request, entry: Entry) -> Any:
         """Return a goal in a frame that the robot takes; None: it is so already.
 

@@ -31,27 +31,33 @@ _RESOURCE = Resource(
 
 
 class _Updates:
-    """Announces changes, at most once per interval."""
+    """Announces changes, at most once per interval. Called for each step of a command."""
 
     def __init__(self, config: InventoryConfig, host: FeatureHost) -> None:
         self.config = config
         self._host = host
-        self.due: asyncio.TimerHandle | None = None
-        """The announcement that any change until then is a part of."""
+        self._due: asyncio.TimerHandle | None = None
+        self.idle = False
+        """Whether an announcement is due that any change until then is a part of."""
 
     def changed(self) -> None:
         """Announce a change, after the interval: others will follow."""
-        if self.due is None:
-            self.due = self._host.loop.call_later(self.config.interval, self._announce)
+        if not self.idle:
+            self.idle = True
+            self._due = self._host.loop.call_later(self.config.interval, self._announce)
+
+    def __call__(self, command: Command, step: Record) -> None:
+        """Announce that a command began or ended: its sender may have got, or lost, control."""
+        self.changed()
 
     def _announce(self) -> None:
-        self.due = None
+        self.idle = False
         self._host.changed(PATH)
 
     def close(self) -> None:
         """Announce nothing more."""
-        if self.due is not None:
-            self.due.cancel()
+        if self._due is not None:
+            self._due.cancel()
 
 
 def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
@@ -63,10 +69,6 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
 
     def heard(event: Event) -> None:
         if event.what == "lease":
-            updates.changed()
-
-    def stepped(_command: Command, _step: Record) -> None:
-        if updates.due is None:
             updates.changed()
 
     def halted(paths: frozenset[str], _by: str, _reason: str) -> None:
@@ -90,7 +92,7 @@ def _make(config: InventoryConfig, host: FeatureHost) -> Feature:
         resources=(shown,),
         observer=controllers,
         on_event=heard,
-        on_command=stepped,
+        on_command=updates,
         feedback=False,
         halted=halted,
         reconfigure=configure,

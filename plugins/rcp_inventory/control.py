@@ -29,6 +29,8 @@ class _Write(NamedTuple):
 class Controllers:
     """Notes who commands what, as the feature's `CommandObserver`."""
 
+    writes_only = True
+
     def __init__(self, host: FeatureHost, *, changed: Callable[[], None]) -> None:
         """Know of no command; `changed` is called when somebody else has control."""
         self._host = host
@@ -66,7 +68,7 @@ class Controllers:
     def sent(self, call: Call) -> None:
         """Note who writes to something that has a safe value: until that is in force again."""
         entry, principal = call.entry, call.session.principal.name
-        if call.request.type != "write" or entry.resource.safe is None or call.rests:
+        if entry.resource.safe is None or call.rests:
             return
         writes = self._writes.setdefault(entry.path, [])
         news = not writes or writes[-1].principal != principal

@@ -19,6 +19,7 @@ from rcp_kernel.errors import EstopActive
 __all__ = [
     "Fenced",
     "check_fence",
+    "current",
     "end_permit",
     "fenced_off",
     "is_commanded",
@@ -39,7 +40,9 @@ class Fenced(Protocol):
         ...
 
 
-_permit: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", default=None)
+current: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", default=None)
+"""The permit of what runs now: a unit, and its count of stops when the request was admitted; set by
+the kernel."""
 
 
 class permitted:  # noqa: N801 - used as a function is
@@ -54,43 +57,43 @@ class permitted:  # noqa: N801 - used as a function is
         self._permitted = (unit, stops)
 
     def __enter__(self) -> None:
-        self._token = _permit.set(self._permitted)
+        self._token = current.set(self._permitted)
 
     def __exit__(self, *_: object) -> None:
-        _permit.reset(self._token)
+        current.reset(self._token)
 
 
 def permit(unit: Fenced, stops: int) -> None:
     """Run the rest of the current task under such a permit."""
-    _permit.set((unit, stops))
+    current.set((unit, stops))
 
 
 def end_permit() -> None:
     """Run the rest of the current task without a permit and caller: its robot has answered."""
-    _permit.set(None)
+    current.set(None)
     asked.set(None)
 
 
 @contextmanager
 def unfenced() -> Generator[None]:
     """Run the body without a permit and caller: a stop, or work that outlives its request."""
-    token, caller = _permit.set(None), asked.set(None)
+    token, caller = current.set(None), asked.set(None)
     try:
         yield
     finally:
         asked.reset(caller)
-        _permit.reset(token)
+        current.reset(token)
 
 
 def fenced_off() -> bool:
     """Return whether the robot was stopped after the current operation was admitted."""
-    permit = _permit.get()
+    permit = current.get()
     return permit is not None and permit[0].stops != permit[1]
 
 
 def is_commanded() -> bool:
     """Return whether a client requested the current operation: it is no stop of the gateway's own."""
-    return _permit.get() is not None
+    return current.get() is not None
 
 
 def check_fence() -> None:
@@ -99,6 +102,6 @@ def check_fence() -> None:
     :raises EstopActive: the robot has been stopped since.
     """
     if fenced_off():
-        permit = _permit.get()
+        permit = current.get()
         assert permit is not None
         raise EstopActive(f"{permit[0].name} was stopped after this command was sent")

@@ -16,7 +16,8 @@ class CommandObserver(Protocol):
     """Receives every write and execute on a robot, and every stop.
 
     Called on the event loop: must neither block nor await. It cannot refuse anything; an exception
-    is logged and changes nothing.
+    is logged and changes nothing. An observer may have an attribute `writes_only`, read at the start:
+    if it is true, `sent` is not called for executes.
     """
 
     def sent(self, call: Call) -> None:
@@ -48,14 +49,20 @@ class CommandEvents:
 
     def __init__(self) -> None:
         self._observers: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
+        self.of_executes: tuple[tuple[CommandObserver, FeatureHealth], ...] = ()
+        """The observers that hear of executes."""
 
     def configure(self, observers: Iterable[tuple[CommandObserver, FeatureHealth]]) -> None:
         """Set the observers."""
         self._observers = tuple(observers)
+        self.of_executes = tuple(
+            one for one in self._observers if not getattr(one[0], "writes_only", False)
+        )
 
     def sent(self, call: Call) -> None:
-        """Notify the observers."""
-        for observer, health in self._observers:
+        """Notify the observers: of an execute, those in `of_executes`."""
+        executes = call.request.type == "execute"
+        for observer, health in self.of_executes if executes else self._observers:
             try:
                 observer.sent(call)
             except Exception as error:

@@ -99,7 +99,8 @@ class Feature:
     on_event: Hear | None = None
     """Receives writes, refusals, logins, e-stops, stops by the gateway, starts and reloads."""
     on_command: CommandListener | None = None
-    """Receives each step of each command, including plans, before any client does."""
+    """Receives each step of each command, including plans, before any client does. An object with an
+    attribute `idle` is not called while that is true."""
     feedback: bool = True
     """Whether `on_command` also receives feedback, the most frequent step."""
     durability: Durability | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
@@ -41,6 +42,7 @@ __all__ = [
     "LinkLost",
     "Record",
     "Work",
+    "command_id",
     "has_begun",
     "is_unchanged",
     "outcome_of",
@@ -48,6 +50,9 @@ __all__ = [
 ]
 
 log = structlog.get_logger("rcp.commands")
+_RANDOM = 1024  # bytes
+_numbers: list[str] = []
+"""Random numbers for ids, each used once."""
 _SHORT = 16_384  # bytes of a command that are kept as they are written
 
 
@@ -302,6 +307,17 @@ class LinkLost(AdapterUnavailable):
     status = "failed"
     retryable = False
     default_remedy = "Check the state of the robot before you send it again."
+
+
+def command_id() -> str:
+    """Return the id of another command, which nobody can guess.
+
+    The operating system takes 3 µs to give a random number: it is asked for many at once.
+    """
+    if not _numbers:
+        random = os.urandom(_RANDOM)
+        _numbers.extend(random[place : place + 8].hex() for place in range(0, _RANDOM, 8))
+    return "cmd-" + _numbers.pop()
 
 
 def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:

@@ -128,7 +128,10 @@ class FlushScheduler:
         return self._loop.call_later(seconds, function)
 
     def gather(self, function: Callable[..., object], *args: Any) -> None:
-        """Call a function, then tick: what it has published is sent in the same loop iteration."""
+        """Call a function, then tick: what it has published is sent in the same loop iteration.
+
+        If it has published nothing, the tick follows behind the tasks that it has woken.
+        """
         if self._gathering or self._dirty:  # a tick is scheduled anyway
             function(*args)
             return
@@ -136,10 +139,13 @@ class FlushScheduler:
         try:
             function(*args)
         finally:
-            self._gathering = False
-            self._tick()
+            if self._dirty:
+                self._tick()
+            else:
+                self._loop.call_soon(self._tick)
 
     def _tick(self) -> None:
+        self._gathering = False
         dirty, self._dirty = self._dirty, []
         until = perf_counter() + TICK
         for place, one in enumerate(dirty):

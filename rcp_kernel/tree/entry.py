@@ -167,6 +167,7 @@ class Entry:
         "robot",
         "seq",
         "sustained",
+        "takes_frame",
         "tenant",
         "unit",
         "value_type",
@@ -200,6 +201,8 @@ class Entry:
         policy = resource.policy
         self.parallel = policy == "parallel" or (policy is None and self.kind is Kind.SERVICE)
         """Whether commands run concurrently: the default of services."""
+        self.takes_frame: bool | None = None
+        """Whether its input is a goal in a frame that clients name; None: nobody has asked yet."""
         self.is_hold = False
         """Whether it is the gateway's own hold service, which brings the robot to rest without an e-stop."""
         self.live = resource.live

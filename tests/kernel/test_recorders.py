@@ -17,7 +17,7 @@ from rcp_gateway.server import running
 from rcp_kernel.config.file import parse
 from rcp_kernel.contract.events import Event
 from rcp_kernel.errors import QueueFull
-from rcp_kernel.features import Feature, FeatureHost, FeatureKind
+from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.session import Answer
 from rcp_kernel.wire import Reply
@@ -236,6 +236,39 @@ async def test_a_bug_in_one_that_keeps_no_record_is_told_and_changes_nothing() -
         assert robot.writes
         reply = (await client.ask(type="status"))["body"]
         assert (reply["state"], reply["features"][0]["state"]) == ("degraded", "degraded")
+
+
+class Dozing(BlackBox):
+    """A box that is called for some commands alone, and observes writes alone."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.idle = False
+        self.observed: list[str] = []
+
+    def make(self, _table: NoKeys, _host: FeatureHost) -> Feature:
+        nothing = dict.fromkeys(("took", "refused", "stopping", "rested"), lambda *_: None)
+        observer: Any = SimpleNamespace(sent=self._sent, writes_only=True, **nothing)
+        return Feature(on_command=self, observer=observer)
+
+    def _sent(self, call: Call) -> None:
+        self.observed.append(call.request.type)
+
+    def __call__(self, command: Command, step: Record) -> None:
+        self.heard.append(step.status)
+        self.idle = step.status == "accepted"
+
+
+async def test_one_that_has_nothing_to_do_is_not_called() -> None:
+    box = Dozing()
+    async with recorded(box) as (client, _):
+        for envelope in (GO, LIMIT, GO):
+            assert (await client.ask(**envelope))["status"] == "completed"
+        assert box.heard == ["accepted"]
+        assert box.observed == ["write"]
+        box.idle = False
+        await client.ask(**GO)
+        assert box.heard == ["accepted", "accepted"]
 
 
 async def test_a_gateway_without_the_audit_log_keeps_no_record_and_has_no_trace_of_it() -> None:

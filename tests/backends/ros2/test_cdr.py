@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import random
 import struct
+from typing import Any
 
 import msgspec
 import pytest
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import LaserScan
+from std_srvs.srv import Trigger
 
 from backends.ros2.messages import MESSAGES, message, message_class, ours, theirs
 from rcp_kernel.errors import ConfigError
@@ -18,6 +20,7 @@ from rcp_kernel.values import Encoding, value_type
 from rcp_ros2.cdr import Codec, Malformed
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import MissingType, fields_of, load
+from rcp_ros2.services import reader
 from rcp_ros2.types import inward
 
 
@@ -39,6 +42,15 @@ def test_any_value_decodes_as_rclpy_decodes_it(name: str) -> None:
     for seed in range(40):
         data = serialize_message(message(cls, random.Random(seed)))
         assert ours(codec.decode(data)) == theirs(deserialize_message(data, cls)), seed
+
+
+@pytest.mark.parametrize("cls", [Trigger.Response, *map(message_class, MESSAGES)])
+def test_an_answer_is_read_as_its_bytes_are_decoded(cls: Any) -> None:
+    codec = Codec(cls)
+    read = reader(codec)
+    for seed in range(10):
+        data = serialize_message(message(cls, random.Random(seed)))
+        assert ours(read(deserialize_message(data, cls))) == ours(codec.decode(data)), seed
 
 
 @pytest.mark.parametrize("name", MESSAGES)

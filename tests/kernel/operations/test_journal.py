@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
@@ -16,11 +17,19 @@ pytestmark = pytest.mark.anyio
 GO = {"type": "execute", "path": "/tenant/alpha/action/go", "body": 4.0}
 
 
+@dataclass
+class Doing:
+    """Whether a listener has nothing to do."""
+
+    idle: bool = False
+
+
 class Order:
     """Notes what becomes of each step, in the order in which it happens."""
 
     def __init__(self, journal: CommandJournal) -> None:
         self.noted: list[tuple[str, str]] = []
+        self.state = Doing()
         journal.listeners.append(self)
 
     def kept(self, command: Command) -> None:
@@ -67,6 +76,14 @@ async def test_each_step_is_kept_then_recorded_then_answered(
         ("heard", "completed"),
         ("followed", "completed"),
     ]
+
+
+async def test_an_idle_listener_is_not_called(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with watched(monkeypatch) as (world, order):
+        order.state.idle = True
+        world.robot.release.set()
+        assert (await world.client().ask(**GO))["status"] == "completed"
+    assert order.noted == [("kept", "accepted"), ("kept", "completed")]
 
 
 async def test_a_finished_command_lets_go_of_its_task_and_of_who_asked(world: World) -> None:

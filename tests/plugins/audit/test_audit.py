@@ -190,7 +190,7 @@ async def test_what_the_log_fails_to_write_is_told_and_leaves_a_record_of_the_ga
     async with world_of(kept_in(tmp_path / "store.db")) as world:
         client = world.client()
         with monkeypatch.context() as patch:
-            patch.setattr("rcp_audit.log.requested", broken)
+            patch.setattr("rcp_audit.records.describe", broken)
             reply = await client.ask(type="write", path=LIMIT, body=1.0)
         assert reply["error"]["code"] == "deadline_exceeded"
         [gap] = await records(world, what="unrecorded")
