@@ -16,6 +16,7 @@ from rcp_audit.retention import Retention
 from rcp_audit.throttle import DenialThrottle
 from rcp_kernel.contract.digest import bounded
 from rcp_kernel.contract.events import Event
+from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.touches import bounded_touches
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.sessions.command import Command, Record
@@ -31,6 +32,8 @@ FULL = 5000
 """Pending records above which commands and writes are refused, and refusals only counted."""
 _MOST = 20_000  # pending records above which events are only counted
 _TEXT = 500  # characters of a message
+_SESSIONS = 1024  # of which, and of whose paths, the first fields are remembered
+_Known = tuple[Principal | None, str | None, dict[str, Any]]
 _DENIALS = frozenset(
     (
         "unauthenticated",
@@ -70,6 +73,7 @@ class AuditLog:
         self._publish = host.publish
         self._ledger = host.ledger
         self._store = host.ledger.store
+        self._known: dict[tuple[str | None, str | None, str], _Known] = {}
         self.throttle = DenialThrottle(host.loop, config.denials, partial(self._write, "denials"))
         self.retention = Retention(host, config)
 
@@ -115,7 +119,7 @@ class AuditLog:
 
     def _record(self, what: str, event: Event, **more: Any) -> bool:
         touches = None if event.touches is None else bounded_touches(event.touches)
-        facts = who_did(event, touches)
+        facts = who_did(event, touches) if touches is not None else self._who(event)
         # A flood of refusals gets one common record.
         if (what == "denial" or self._store.waiting > _MOST) and not self._passes(
             what, event, dict(facts)
@@ -138,6 +142,20 @@ class AuditLog:
         facts["outcome"] = event.outcome
         self._write(what, facts)
         return True
+
+    def _who(self, event: Event) -> dict[str, Any]:
+        """Return what `who_did` does, which is the same for all events of a session at one path."""
+        session = event.session
+        if session is None:
+            return who_did(event, None)
+        key = (event.path, event.tenant, session.id)
+        known = self._known.get(key)
+        # A `hello` gives a session another principal, and perhaps another tenant.
+        if known is None or known[0] is not event.principal or known[1] != session.tenant:
+            if len(self._known) >= _SESSIONS:
+                self._known.clear()
+            known = self._known[key] = event.principal, session.tenant, who_did(event, None)
+        return {**known[2]}
 
     def _passes(self, what: str, event: Event, who: dict[str, Any]) -> bool:
         """Return whether a refusal, or an event beyond the limit, gets its own record."""

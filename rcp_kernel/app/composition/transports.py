@@ -61,6 +61,7 @@ def compose_client_api(
     )
     parts = ClientApiParts(
         connections=connections,
+        read_prompt=handlers.read.read_prompt,
         settings=base.settings,
         shutdown=base.shutdown,
         rules=access.rules,
