@@ -81,6 +81,7 @@ class ClientApiParts:
     """The parts behind the API, shared by all transports and adapters."""
 
     connections: ConnectionParts
+    read_prompt: Callable[[Session, Request], PromptReply | None]
     settings: Settings
     shutdown: Shutdown
     rules: Rules
@@ -111,7 +112,7 @@ class ClientApi:
     def __init__(self, parts: ClientApiParts, name: str, mounts: Mounts) -> None:
         self._parts = parts
         self._handle = parts.connections.handle
-        self._read_at_once = parts.connections.at_once["read"]
+        self._read_prompt = parts.read_prompt
         self.name = name
         """The transport's name in sessions, counts and metrics."""
         self.mounts = mounts
@@ -299,7 +300,7 @@ class ClientApi:
 
         What is returned is counted as the request's final reply.
         """
-        return self._read_at_once(session, request)
+        return self._read_prompt(session, request)
 
     async def request(self, session: Session, request: Request) -> Reply:
         """Handle a request and return its final reply."""

@@ -218,6 +218,7 @@ class Kernel(Core):
         )
         parts = ClientApiParts(
             connections=connections,
+            read_prompt=handlers.read.read_prompt,
             settings=self.settings,
             shutdown=self.shutdown,
             rules=self.rules,

@@ -37,7 +37,6 @@ from rcp_kernel.wire import (
 )
 from rcp_protocol.structure import LONG, check_structure
 from rcp_requests.handshake import Handshake
-from rcp_requests.prompt_reply import PromptReply
 from rcp_scheduling.turns import Turns, Work
 
 __all__ = ["Connection", "ConnectionParts"]
@@ -46,7 +45,7 @@ _BUFFERED = 256  # messages that wait for a `hello`
 
 
 _HELLO = value_type(Hello)
-AtOnce = Mapping[str, Callable[[Session, Request], PromptReply | None]]
+AtOnce = Mapping[str, Callable[[Session, Request], bytes | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +56,7 @@ class ConnectionParts:
     prepare: Callable[[Session, Request], Generator[None, None, Request]]
     """Decodes a long body in steps."""
     at_once: AtOnce
-    """By type of request, a handler for its usual form, which returns the reply as JSON bytes."""
+    """By type of request, a handler for its usual form, which returns the reply in JSON."""
     handshake: Handshake
     sessions: Sessions
     identities: Identities
@@ -90,6 +89,7 @@ class Connection:
         "expelled",
         "greetings",
         "on_hello",
+        "on_other",
         "one_way",
         "outbox",
         "peer",
@@ -123,6 +123,9 @@ class Connection:
         self.greetings = 0
         self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
         """The transport's part of `hello`: the options it adopts, and the limits it returns."""
+        self.on_other: Callable[[bytes], bool] | None = None
+        """Takes messages of the transport's own, and returns whether it has: it gets those that are
+        long, or no request."""
         self.released: Callable[[deque[bytes]], None] = self._receive_all
         """Handles messages received while `hello` waited; a transport with its own turns
         replaces it."""
@@ -171,23 +174,31 @@ class Connection:
             return
         try:
             if len(data) > LONG:
-                self._take_long(data)
+                if self.on_other is None or not self.on_other(data):
+                    self._take_long(data)
                 return
             request = decode_request(data, self.encoding)
             outbox = self.outbox
             at_once = self._at_once.get(request.type)
             if at_once is not None and outbox.waiting <= SHARE:
-                prompt = at_once(self.session, request)
-                if prompt is not None:
-                    reply = prompt.data
-                    outbox.put(reply if len(reply) <= SMALL else self._bounded(request, reply))
+                reply = at_once(self.session, request)
+                if reply is not None:
+                    size = len(reply)
+                    if size > SMALL or not outbox.dirty:
+                        outbox.put(reply if size <= SMALL else self._bounded(request, reply))
+                    else:  # `put` without a call, as nearly all replies pass here
+                        outbox.control.append(reply)
+                        outbox.waiting += size
+                        if outbox.waiting > SHARE:
+                            outbox.weigh()
                     return
             if request.type == "hello":
                 self._hello(request)
             else:
                 self._handle(self.session, request, self.session.deliver)
         except RcpError as error:
-            self._refuse(data, error)
+            if self.on_other is None or not self.on_other(data):
+                self._refuse(data, error)
         except Exception as error:
             self.answer_internal_error(data, error)
 

@@ -11,7 +11,6 @@ from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.sessions.account import passes
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.wire import Reply, Request
-from rcp_requests.prompt_reply import PromptReply
 
 __all__ = ["PingHandler"]
 
@@ -31,7 +30,7 @@ class PingHandler:
         """Answer any ping."""
         return Reply(type="ping", id=request.id, timestamp=iso(now()), custom=request.custom)
 
-    def ping_at_once(self, session: Session, request: Request) -> PromptReply | None:
+    def ping_at_once(self, session: Session, request: Request) -> bytes | None:
         """Return the JSON reply to an ordinary ping, equal to that of `ping`; None for any other."""
         started = perf_counter()
         if request.custom is not None:
@@ -43,4 +42,4 @@ class PingHandler:
         self._seconds.observe(perf_counter() - started)
         key = (session.transport, "ping", "ok")
         self._outcomes[key] = self._outcomes.get(key, 0) + 1
-        return PromptReply(reply)
+        return reply

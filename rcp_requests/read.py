@@ -16,7 +16,7 @@ from rcp_kernel.access.sights import Sights
 from rcp_kernel.clock import iso, iso_bytes, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.internal_errors import attribute_error
-from rcp_kernel.contract.metrics import RequestCounts
+from rcp_kernel.contract.metrics import SHORTEST, RequestCounts
 from rcp_kernel.errors import (
     AdapterUnavailable,
     FilterUnsupported,
@@ -158,7 +158,17 @@ class ReadHandler:
 
         self._turns.run(session.principal.identity, work())
 
-    def read_at_once(self, session: Session, request: Request) -> PromptReply | None:
+    def read_prompt(self, session: Session, request: Request) -> PromptReply | None:
+        """Return what `read_at_once` does, and of which sample."""
+        reply = self.read_at_once(session, request)
+        if reply is None:
+            return None
+        entry = self._registry.entries[request.path or ""]
+        assert entry.latest is not None
+        stale = entry.deadline is not None and entry.stale
+        return PromptReply(reply, entry.latest.seq, stale)
+
+    def read_at_once(self, session: Session, request: Request) -> bytes | None:
         """Return the JSON reply to an ordinary read; None for any other.
 
         It equals the reply of `read`, spliced around the encoded sample.
@@ -184,17 +194,19 @@ class ReadHandler:
             return None
         if (account := session.account) is not None and not passes(account, session.monotonic()):
             return None
-        stale = entry.deadline is not None and entry.stale
-        state = _STALE if stale else _FRESH
-        if request.id is None:
-            reply = b"".join((_HEAD, piece, state, iso_bytes(now()), b'"}'))
+        state = _STALE if entry.deadline is not None and entry.stale else _FRESH
+        head = _HEAD if request.id is None else _HEAD_WITH_ID + _to_json(request.id)
+        reply = b"".join((head, piece, state, iso_bytes(now()), b'"}'))
+        seconds = self._seconds
+        spent = perf_counter() - started
+        if spent <= SHORTEST:  # `observe` without a call
+            seconds.counts[0] += 1
+            seconds.total += spent
         else:
-            id_ = _to_json(request.id)
-            reply = b"".join((_HEAD_WITH_ID, id_, piece, state, iso_bytes(now()), b'"}'))
-        self._seconds.observe(perf_counter() - started)
-        key = session.read_key
-        self._outcomes[key] = self._outcomes.get(key, 0) + 1
-        return PromptReply(reply, sample.seq, stale)
+            seconds.observe(spent)
+        key, outcomes = session.read_key, self._outcomes
+        outcomes[key] = outcomes.get(key, 0) + 1
+        return reply
 
     def status(
         self, session: Session, request: Request, answer: Answer

@@ -122,8 +122,7 @@ class HeadFile:
         """
         assert self._file is not None
         seq, digest = head
-        os.lseek(self._file, 0, os.SEEK_SET)
-        os.write(self._file, f"{seq:020d}:{digest.hex()} {self._boot}\n".encode())
+        os.pwrite(self._file, f"{seq:020d}:{digest.hex()} {self._boot}\n".encode(), 0)
         self._last = head
 
     def restore(self) -> None:

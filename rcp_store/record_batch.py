@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import chain
 from typing import Any
 
@@ -14,9 +15,10 @@ from rcp_store.chain import Row
 __all__ = ["Batch", "commit", "run_query"]
 
 log = structlog.get_logger("rcp.store")
-_SIZES = (64, 16, 4, 1)
-"""Rows in one statement; few sizes, so that SQLite keeps their statements prepared."""
-_TOGETHER = {size: ", ".join(["(?, ?, ?)"] * size) for size in _SIZES}
+_TOGETHER = 64
+"""Rows in one statement at most: of two tables, as many statements as a connection keeps prepared."""
+Statement = tuple[str, Sequence[Any]]
+"""Its text, and what its parameters are."""
 
 
 class Batch:
@@ -44,30 +46,42 @@ class Batch:
 
 
 def commit(base: sqlite3.Connection, batch: Batch) -> None:
-    """Write a batch in one transaction."""
-    with base:
-        if batch.puts:
-            puts = batch.puts.items()
-            _insert(base, "kept", [(*place, data) for place, data in puts if data is not None])
-            gone = [place for place, data in puts if data is None]
-            base.executemany("DELETE FROM kept WHERE place = ? AND key = ?", gone)
-        _insert(base, "audit", batch.rows)
-        if batch.before:
-            base.execute("DELETE FROM audit WHERE seq < ?", (batch.before,))
+    """Write a batch in one transaction; `base` begins none by itself.
 
-
-def _insert(base: sqlite3.Connection, table: str, rows: Sequence[tuple[Any, ...]]) -> None:
-    """Insert rows of three columns, several in one statement.
-
-    Each statement gives up the interpreter's lock and waits for it again, which the event loop's
-    thread needs meanwhile: for a row each, this took longer than to write them.
+    Each call of SQLite gives up the interpreter's lock and waits for it again, which the event
+    loop's thread needs meanwhile: for each of them this takes longer than to write a row. So rows
+    share a statement, and one statement is a transaction by itself.
     """
-    done = 0
-    for size in _SIZES:
-        text = f"INSERT OR REPLACE INTO {table} VALUES {_TOGETHER[size]}"  # noqa: S608 - both are constants
-        while len(rows) - done >= size:
-            base.execute(text, tuple(chain.from_iterable(rows[done : done + size])))
-            done += size
+    statements = _statements(batch)
+    if len(statements) > 1:
+        base.execute("BEGIN")
+    with base:
+        for statement in statements:
+            base.execute(*statement)
+
+
+def _statements(batch: Batch) -> list[Statement]:
+    found = _insert("audit", batch.rows)
+    if batch.puts:
+        puts = batch.puts.items()
+        found += _insert("kept", [(*place, data) for place, data in puts if data is not None])
+        gone = "DELETE FROM kept WHERE place = ? AND key = ?"
+        found += [(gone, place) for place, data in puts if data is None]
+    if batch.before:
+        found.append(("DELETE FROM audit WHERE seq < ?", (batch.before,)))
+    return found
+
+
+def _insert(table: str, rows: Sequence[tuple[Any, ...]]) -> list[Statement]:
+    """Insert rows of three columns."""
+    pieces = (rows[start : start + _TOGETHER] for start in range(0, len(rows), _TOGETHER))
+    return [(_text(table, len(piece)), tuple(chain.from_iterable(piece))) for piece in pieces]
+
+
+@cache
+def _text(table: str, count: int) -> str:
+    together = ", ".join(["(?, ?, ?)"] * count)
+    return f"INSERT OR REPLACE INTO {table} VALUES {together}"  # noqa: S608 - both are constants
 
 
 def run_query(base: sqlite3.Connection, work: Callable[[sqlite3.Connection], Any]) -> Any:

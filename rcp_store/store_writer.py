@@ -142,7 +142,9 @@ class StoreWriter:
             unsaved = error
         fresh = base is None
         self._check_files(at_once=fresh)  # before new files are created in their place
-        base = base or self._connect()
+        if base is None:
+            base = self._connect()
+            base.isolation_level = None  # `commit` begins its transactions itself
         commit(base, batch)
         if fresh:
             self._presence.learn()

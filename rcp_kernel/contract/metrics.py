@@ -19,11 +19,21 @@ from prometheus_client.registry import Collector
 
 from rcp_kernel.wire import Reply
 
-__all__ = ["BUCKETS", "Histogram", "Metrics", "RequestCounts", "counter", "gauge", "histogram"]
+__all__ = [
+    "BUCKETS",
+    "SHORTEST",
+    "Histogram",
+    "Metrics",
+    "RequestCounts",
+    "counter",
+    "gauge",
+    "histogram",
+]
 
 BUCKETS = (0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 1.0, 10.0)
 """Upper bounds in seconds."""
-_SHORTEST = BUCKETS[0]
+SHORTEST = BUCKETS[0]
+"""Longest duration in the first bucket."""
 _HEAD = 2  # lines of a family before its samples: HELP and TYPE
 
 
@@ -38,7 +48,7 @@ class Histogram:
 
     def observe(self, seconds: float) -> None:
         """Count one duration."""
-        self.counts[0 if seconds <= _SHORTEST else bisect_left(BUCKETS, seconds)] += 1
+        self.counts[0 if seconds <= SHORTEST else bisect_left(BUCKETS, seconds)] += 1
         self.total += seconds
 
 

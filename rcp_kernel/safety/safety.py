@@ -151,7 +151,7 @@ class Deadman:
 
         Return the task, to be passed to `end_write` when it has ended in any way.
         """
-        task = asyncio.current_task()
+        task = asyncio.current_task(self._loop)  # without a loop, it costs a system call
         assert task is not None
         self._writes.setdefault(entry.path, set()).add(task)
         return task

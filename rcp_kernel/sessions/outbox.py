@@ -400,8 +400,12 @@ class Outbox:
             elif long:  # the head is a separate part, so that a long body is not copied
                 out = [part for data in out for part in (frame(len(data), text), data)]
             else:
+                head, size = b"", -1
                 for place, data in enumerate(out):
-                    out[place] = frame(len(data), text) + data
+                    if len(data) != size:  # replies to alike requests are often equally long
+                        size = len(data)
+                        head = frame(size, text)
+                    out[place] = head + data
         pending = self.pending
         if not pending or self.control or self.feedback or self.paused:
             return out

@@ -14,8 +14,9 @@ import pytest
 from kernel.world import BOUND, kept_in, settled, until_trouble, world_of
 from rcp_kernel.errors import ConfigError
 from rcp_store.disk_store import DiskStore
-from rcp_store.file import open_writable
+from rcp_store.file import create, open_writable
 from rcp_store.latch_file import LatchFile, encode_latches, latch_row
+from rcp_store.record_batch import Batch, commit
 from rcp_store.store import Store
 
 pytestmark = pytest.mark.anyio
@@ -213,3 +214,43 @@ def test_latches_are_written_in_place_after_a_kill_between_two_renames(tmp_path:
     assert rows["rover"]["by"] == "cyd"
     assert {path.stat().st_ino for path in (file.path, spare)} == blocks
     assert not swap.exists()
+
+
+@pytest.mark.parametrize("count", [1, 5, 64, 65, 200])
+def test_rows_that_come_together_are_one_transaction(tmp_path: Path, count: int) -> None:
+    with closing(writer_of(tmp_path / "store.db")) as base:
+        said: list[str] = []
+        base.set_trace_callback(said.append)
+        batch = Batch()
+        batch.rows = [(number, b"hash", b"record") for number in range(1, count + 1)]
+        commit(base, batch)
+        base.set_trace_callback(None)
+        assert base.execute("SELECT count(*) FROM audit").fetchone() == (count,)
+        inserted = sum(text.startswith("INSERT") for text in said)
+        assert inserted == -(-count // 64)
+        assert said.count("BEGIN") == (inserted > 1)
+        assert not base.in_transaction
+
+
+@pytest.mark.parametrize("puts", [{}, {("things", "a"): b"1", ("things", "b"): None}])
+def test_of_a_batch_that_fails_nothing_is_kept(
+    tmp_path: Path, puts: dict[tuple[str, str], bytes | None]
+) -> None:
+    with closing(writer_of(tmp_path / "store.db")) as base:
+        base.execute("INSERT INTO kept VALUES ('things', 'b', x'02')")
+        batch = Batch()
+        batch.puts = puts
+        batch.rows = [(1, b"hash", b"record"), (2, None, b"record")]  # pyright: ignore[reportAttributeAccessIssue]
+        with pytest.raises(sqlite3.IntegrityError):
+            commit(base, batch)
+        assert not base.in_transaction
+        assert base.execute("SELECT count(*) FROM audit").fetchone() == (0,)
+        assert base.execute("SELECT key FROM kept").fetchall() == [("b",)]
+
+
+def writer_of(path: Path) -> sqlite3.Connection:
+    """Open a database as the thread of the store does."""
+    create(path)
+    base = open_writable(path)
+    base.isolation_level = None
+    return base

@@ -93,13 +93,13 @@ async def test_a_bug_while_a_message_is_taken_is_answered(
         raise ZeroDivisionError
 
     async with asyncio.timeout(BOUND), opened(gateway, authorization=AUTH) as raw:
-        for target in (
-            "rcp_requests.connections.decode_request",
-            "rcp_ws.client.segments.read",
+        for target, type_ in (
+            ("rcp_requests.connections.decode_request", "read"),
+            ("rcp_ws.client.segments.read", "segment"),
         ):
             with monkeypatch.context() as patched, capture_logs() as said:
                 patched.setattr(target, broken)
-                raw.ask(type="read", path=POSE, id="1", **{"x-segment": 1})
+                raw.ask(type=type_, path=POSE, id="1")
                 reply = await raw.reply()
             assert (reply["id"], reply["error"]["code"]) == ("1", "internal")
             assert reply["error"]["trace_id"] in crashes(said)

@@ -50,6 +50,7 @@ class SocketClient(ABC):
         "_patience",
         "_plain",
         "_socket",
+        "_take",
         "_turn",
         "_turns",
         "_used",
@@ -85,6 +86,8 @@ class SocketClient(ABC):
         self._patience: asyncio.TimerHandle | None = None
         if principal is None:
             self._patience = client_api.loop.call_later(_PATIENCE, self._turn_away)
+        self._take: Callable[[bytes], None] = self._handle
+        """Called with each message; a subclass may save a call by setting it."""
         self._gate = ReadGate(
             socket,
             wait=self._wait,
@@ -154,13 +157,15 @@ class SocketClient(ABC):
             self._began = perf_counter()
             outbox.dirty = True  # no tick: `settled` sends the replies
         try:
-            self._handle(data)
+            self._take(data)
         except Exception as error:
             # Otherwise the client would wait for its reply forever.
             self._failed(data, error)
         if len(outbox.control) >= self._look_at or outbox.waiting > BACKLOG_SHARE:
             self.flush()
             gate.review()
+        elif size > _SHORT:
+            gate.review()  # it may still be being handled
         if gate.handing and self._over():
             gate.end_turn()
 

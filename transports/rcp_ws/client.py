@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from rcp_gateway.api import Hello, Peer, Principal
@@ -21,13 +20,12 @@ from rcp_ws.segments import Again
 __all__ = ["WsClient"]
 
 _SEGMENT = b"segment"  # only a message with this word can be a segment
-_SHORT = 4096  # bytes of a message that the connection handles at once
 
 
 class WsClient(SocketClient):
     """Passes messages to the connection, and the contents of the outbox to the socket."""
 
-    __slots__ = ("_config", "_encoding", "_incoming", "_outgoing", "_receive", "_segments")
+    __slots__ = ("_config", "_encoding", "_incoming", "_outgoing")
 
     ended = "the session has ended or moved to another connection"
 
@@ -43,11 +41,8 @@ class WsClient(SocketClient):
         super().__init__(client_api, who, encoding, socket, peer, config.backlog)
         self._config = config
         self._encoding = encoding
-        self._segments = self._authenticated
-        """Whether segments are reassembled: for authenticated clients only."""
-        self._receive: Callable[[bytes], None] = (
-            self.connection.receive if self._segments else self._greeting
-        )
+        if self._authenticated:
+            self._admit()
         self.connection.set_callbacks(
             hello=self._hello, released=self._gate.put_back, cut=self._cut_off
         )
@@ -69,20 +64,17 @@ class WsClient(SocketClient):
         else:
             outbox.send_messages(long=self._outgoing.size is not None)
 
-    # -- receiving -----------------------------------------------------------------------------
+    def _admit(self) -> None:
+        """Take all messages of a client that is authenticated, and reassemble its segments."""
+        self._take = self.connection.receive
+        self.connection.on_other = self._segment
 
-    def _handle(self, data: bytes) -> None:
-        # `in` would take twice as long as `find`: it first tries to take the word for the number
-        # of a byte.
-        if data.find(_SEGMENT) < 0 or not (self._segments and self._segment(data)):
-            self._receive(data)
-        if len(data) > _SHORT and self.connection.buffering:
-            self._gate.review()
+    # -- receiving -----------------------------------------------------------------------------
 
     def _failed(self, data: bytes, error: Exception) -> None:
         self.connection.answer_internal_error(data, error)
 
-    def _greeting(self, data: bytes) -> None:
+    def _handle(self, data: bytes) -> None:
         """Accept only `hello` from a client that is not authenticated."""
         type_, id_ = peek_header(data, self._encoding)
         if type_ != "hello" and not self.connection.buffering:
@@ -114,6 +106,8 @@ class WsClient(SocketClient):
 
     def _segment(self, data: bytes) -> bool:
         """Handle a message that may be a segment; return whether it was one."""
+        if _SEGMENT not in data:
+            return False
         id_: str | int | None = None
         try:
             found = segments.read(data, self._encoding)
@@ -130,7 +124,7 @@ class WsClient(SocketClient):
         return True
 
     def _whole(self, data: bytes) -> None:
-        self._receive(data)
+        self._take(data)
 
     def _fail(self, id_: str | int | None, error: RcpError) -> None:
         self.connection.send(failure(error, "segment", None if id_ is None else str(id_)))
@@ -142,8 +136,7 @@ class WsClient(SocketClient):
         self._identified()
         self._incoming.limit = self._limit
         if self._authenticated:
-            self._segments = True
-            self._receive = self.connection.receive
+            self._admit()
         wanted = hello.segment_size
         agreed = None if wanted is None else min(wanted, self._config.segment_size)
         self._outgoing.size = agreed

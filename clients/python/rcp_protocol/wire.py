@@ -188,9 +188,8 @@ def decode_request(data: bytes, encoding: Encoding) -> Request:
     if encoding is _CBOR:
         data = _as_msgpack(data)
         encoding = _MSGPACK
-    decode = _json_decode if encoding is _JSON else _msgpack_decode
     try:
-        request = decode(data)
+        request = _json_decode(data) if encoding is _JSON else _msgpack_decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         request = _decode_slowly(data, encoding, error)
     else:
