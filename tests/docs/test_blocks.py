@@ -59,6 +59,7 @@ FOREIGN = frozenset(
         "promtool",
         "pytest",
         "python",
+        "python3",
         "ros2",
         "rustc",
         "sudo",

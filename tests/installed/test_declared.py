@@ -27,6 +27,7 @@ EXTRAS = {
     "rcp_guard": ("can", "ros2"),
     "rcp_hubs": ("hubs",),
     "rcp_jwt": ("jwt",),
+    "rcp_asgi": ("tls",),
     "rcp_kernel": ("tls",),
     "rcp_mavlink": ("mavlink",),
     "rcp_mavlink_sim": ("mavlink",),
