@@ -1,8 +1,9 @@
 """The parts of a gateway that need no feature: resources, rights, records, stops and sessions.
 
-Each is created once, in this order, and receives only parts created before it. Nothing is set
-afterwards: a part that must notify a later one has a list of listeners, to which the later one is
-added.
+Each is created once, in this order, and receives only parts created before it. A part that must
+notify a later one has a list of listeners, to which the later one is added. What depends on features
+is set afterwards, by `Kernel`: the handler of delegated requests, accounts, authenticators and
+observers of commands.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ class Core:
         self.links = SubscriptionLinker(self.hub, self.turns)
         self.changes = ViewChanges(registry)
         self.supervisors: list[BackendSupervisor] = []
-        """The backends; the application adds and removes them."""
+        """The backends; `server.py` adds and removes them."""
 
     def _make_records(self) -> None:
         self.event_bus = EventBus()

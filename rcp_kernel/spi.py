@@ -1,8 +1,8 @@
-"""The interfaces that plugins implement, and those that they receive.
+"""The interfaces that backends implement, and those that they receive.
 
-A robot-facing plugin registers `BackendKind` records and derives from `BaseBackend`; a client-facing
-one registers `TransportKind` or `AdapterKind` records and uses the gateway only through `ClientApi`
-and `Session`. Hooks declare, context managers run, method calls do the work.
+A plugin for robots registers `BackendKind` records and derives from `Backend`; its backend uses the
+gateway only through `Host`. Hooks declare, context managers run, method calls do the work. The
+interface of transports and adapters is in `rcp_gateway`: `client_kinds` and `client_api`.
 """
 
 from __future__ import annotations

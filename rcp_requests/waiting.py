@@ -1,4 +1,4 @@
-"""Commands of the gateway's own that wait until they are checked: a cancel or an e-stop reaches them too."""
+"""Gateway actions waiting to be checked: a cancel or an e-stop reaches them too."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class WaitingCommand:
 
 
 class WaitingCommands:
-    """Those of one action; one that nothing refers to any more waits no longer."""
+    """The gateway actions of one resource that wait; dropped when unreferenced."""
 
     def __init__(self, access: CommandAccess, commands: Commands) -> None:
         self._access = access

@@ -62,7 +62,7 @@ class FrameConverter(Protocol):
     def view(self, session: Session, entry: Entry, frame: str) -> FrameView:
         """Return a resource's values in a frame, which need not be known yet.
 
-        It keeps to the rights that the session has at each conversion.
+        The session's current rights are applied at each conversion.
 
         :raises FilterUnsupported: its values are not of a kind that is converted.
         """

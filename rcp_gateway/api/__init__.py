@@ -1,7 +1,7 @@
 """The parts for transports and adapters, besides `ClientApi` and `rcp_web.asgi`.
 
 A plugin that connects clients imports only public modules: of `rcp_gateway` `api`, `api.pages`,
-`client_api`, `client_kinds` and `hookspecs`; of `rcp_kernel` `clock`, `errors`, `features`, `model`,
+`client_api`, `client_kinds`, `hookspecs` and `mounts`; of `rcp_kernel` `clock`, `errors`, `features`, `model`,
 `types`, `values` and `wire`. These names are stable when what is behind them is rearranged.
 """
 

@@ -121,7 +121,7 @@ class Rights:
         self._room.users.add(self)
         self._terms: dict[str, _Terms] = {}
         self._folders: dict[str, int | None] = {}
-        """The mask of all that is in a folder; None where the rules tell it apart."""
+        """The mask of all that is in a folder; None if rules distinguish paths within the folder."""
         self.masks: dict[str | None, int] = {}
         """Cached masks, by path."""
 

@@ -95,7 +95,7 @@ class StoreConfig(Table, frozen=True):
 
 
 class GatewayConfig(Table, frozen=True):
-    """The whole file."""
+    """The decoded configuration file."""
 
     include: tuple[str, ...] = ()
     """Further files, relative to the folder of this one; `*` stands for any part of a name."""

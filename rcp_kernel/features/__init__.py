@@ -1,4 +1,4 @@
-"""Features: extensions of the gateway itself. This package contains only records and protocols."""
+"""Features: extensions of the gateway itself, what they declare and the host that each receives."""
 
 from __future__ import annotations
 

@@ -94,7 +94,7 @@ class ActionHost(Protocol):
     def goal(self, session: Session, entry: Entry, value: Any) -> Any:
         """Return the input of a later execute in the robot's own frame, as things are now.
 
-        None: it is so already, or names none.
+        None if the goal is already in the robot's frame, or names no frame.
 
         :raises RcpError: as for the request itself.
         """

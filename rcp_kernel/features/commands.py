@@ -16,8 +16,8 @@ class CommandObserver(Protocol):
     """Receives every write and execute on a robot, and every stop.
 
     Called on the event loop: must neither block nor await. It cannot refuse anything; an exception
-    is logged and changes nothing. An observer may have an attribute `writes_only`, read at the start:
-    if it is true, `sent` is not called for executes.
+    is logged and changes nothing. An observer may have an attribute `writes_only`, read at
+    the start and after each reload: if it is true, `sent` is not called for executes.
     """
 
     def sent(self, call: Call) -> None:

@@ -43,7 +43,7 @@ class EstopRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     scope: Annotated[str, Meta(max_length=256)] | None = None
     """`/tenant/<tenant>`, a robot or sub-tree of one, a group of the configuration, the name of a
-    backend, or of one of its robots (`<backend>/<robot>`); None is every robot that you may see."""
+    backend, or of one of its robots (`<backend>/<robot>`). If omitted: every robot visible to you."""
     reset: bool = False
     reason: Annotated[str, Meta(max_length=500)] | None = None
 
@@ -186,7 +186,7 @@ class Estop:
             return keys, robots
         if session.unattended:
             raise Forbidden(
-                "an e-stop is reset by somebody who sees the robot, never by the gateway",
+                "an e-stop must be reset by a person who can see the robot, not by automation",
                 remedy="Reset it yourself, when it is safe.",
             )
         known = self._settings.config.tenant_names

@@ -72,7 +72,7 @@ async def _until_taken(
 
 
 async def _answered(calls: list[asyncio.Task[None]], until: float) -> BaseException | None:
-    """Wait for an answer, and empty `calls` on a good one; return the last failure till then."""
+    """Wait for an answer, and empty `calls` on a good one; return the last failure before the timeout."""
     loop, failure = asyncio.get_running_loop(), None
     while (left := until - loop.time()) > 0:
         if not calls:

@@ -306,7 +306,7 @@ class StopController:
             self._confirm(stop)
             return
         if state.at_rest is None and stop.confirmed is not None and stop.unit.owner.closes:
-            return  # it gives its devices up, at rest, and measures nothing any more
+            return  # it is releasing its devices at rest and no longer measures
         moves_again = stop.confirmed is not None and state.at_rest is False
         self._mark_unconfirmed(
             stop, state.detail or ("it moves" if state.at_rest is False else "unknown")

@@ -41,7 +41,10 @@ class SessionAccount(Protocol):
         ...
 
     def check_command(self, path: str) -> None:
-        """Refuse another command on a path; called for plans too, and before any guard.
+        """Refuse another command on a path; also called for actions of the gateway, such as plans.
+
+        For a robot's command it is called after the guards of control and motion and before the
+        others (`Slot.POLICY`, `Slot.APPROVAL`); for an action of the gateway, before any guard.
 
         :raises RcpError: the limit is reached.
         """

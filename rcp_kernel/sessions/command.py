@@ -1,4 +1,4 @@
-"""One command: its steps from the request to the one final status, and how these are told."""
+"""One command: its steps from the request to the one final status, and how clients are notified of them."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Work(Protocol):
 
 
 class CommandTable(Protocol):
-    """The commands of the gateway, for who ends those that have lost their ground."""
+    """The commands of the gateway, for code that ends commands whose control was withdrawn."""
 
     @property
     def running(self) -> Mapping[str, Command]:
@@ -88,18 +88,18 @@ class CommandTable(Protocol):
         ...
 
     def cancel(self, command: Command, reason: str) -> None:
-        """Have a command cancelled: the robot is told at once, the final status follows."""
+        """Cancel a command; the robot is notified immediately and the final status follows."""
         ...
 
     def withdraw(self, command: Command, error: Refused) -> None:
-        """End a command that has lost its ground: refused if it waits, else cancelled."""
+        """End a command whose control was withdrawn: refused if it waits, else cancelled."""
         ...
 
 
 class Record(msgspec.Struct, gc=False):
     """What is remembered of one step of a command.
 
-    Thousands are kept, and nothing in them refers back: Python need not look for cycles.
+    No reference cycles, so they are exempt from the garbage collector (`gc=False`).
     """
 
     status: Status
@@ -179,19 +179,19 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     asker: Session | None = None
     """In whose name it runs; None once it has ended."""
     request: Request | None = None
-    """What asked for it; None once it has ended."""
+    """The request that started it; None once it has ended."""
     work: Work | None = None
     """What the gateway itself does for it; None for the work of a robot."""
     touches: tuple[str, ...] = ()
     """Paths beside its own that it is about."""
     ready: Callable[[], Awaitable[None]] | None = None
-    """Awaited before the robot is told."""
+    """Awaited before the command is passed to the robot."""
     entry: Entry | None = None
     task: asyncio.Task[Any] | None = None
     followers: list[CommandListener] = []
-    """Who hears of its steps, beside those who hear of all commands."""
+    """Listeners of this command only."""
     cancelling: str | None = None
-    """Why a cancel was asked for."""
+    """Reason for a requested cancel; None if none was requested."""
     expired: bool = False
     sent: bool = False
     """Whether it was passed to the robot, which may act on it from then on."""
@@ -224,7 +224,7 @@ class Command(msgspec.Struct, eq=False, weakref=True):
 
     @property
     def names(self) -> frozenset[str]:
-        """What may be a path or the name of a resource in what is told of the command."""
+        """Path and resource names that occur in the command's public representation."""
         names = self._names
         if names is None:
             names = names_in(self.plain())
@@ -321,11 +321,11 @@ def command_id() -> str:
 
 
 def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
-    """Return what a command's task came to: its result, or the error that is told."""
+    """Return the outcome of a command's task: its result, or the error sent to the client."""
     error = None if task.cancelled() else task.exception()
     fenced = isinstance(error, EstopActive) and command.cancelling is not None
     if task.cancelled() or fenced:  # what it did last was fenced off by the stop that ended it
-        reason = command.cancelling or "the backend gave up"
+        reason = command.cancelling or "the backend cancelled it"
         return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
     if error is None:
         return task.result()
@@ -361,7 +361,7 @@ def status_of(command: Command, error: RcpError) -> Status:
     """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
     if isinstance(error, Cancelled):
         return "cancelled"
-    # What a robot's own gateway calls `failed` had begun there, whatever was told of it here.
+    # What a robot's own gateway calls `failed` had begun there, regardless of what was reported here.
     refused = is_unchanged(error) and vars(error).get("status") != "failed"
     # A cancel that fails is no refusal: the robot may have begun, and may go on.
     return (

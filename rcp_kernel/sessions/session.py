@@ -207,7 +207,7 @@ class Session:
         self.former: str | None = None
         """The session of another gateway that its client wanted to resume here."""
         self.unattended = False
-        """Whether a feature acts in it for somebody who may be absent."""
+        """Whether a feature uses it on behalf of an absent principal."""
         self.account: SessionAccount | None = None
         """Counts its requests, subscriptions and commands; None counts nothing."""
         self.missed: deque[tuple[Reply, int]] = deque()
@@ -266,9 +266,9 @@ class Session:
             raise account.refusal(moment)
 
     def check_pace(self) -> None:
-        """Refuse a request that is too long to be a stop, before it is read.
+        """Check the rate limit before reading a long request (stops are short).
 
-        It is counted later, when it is handled.
+        The request is counted later, when it is handled.
 
         :raises RateLimited: the limit would be exceeded.
         """

@@ -189,7 +189,8 @@ class Sessions:
         shared = list(self._stateless.items())
         self._stateless.clear()
         self._accounting.recount()
-        # First those that stay: what a person holds as a whole ends with the last of its sessions.
+        # Renew the surviving sessions first: anything held by the principal is released when its last
+        # session ends.
         ended: list[Session] = []
         for (_, tenant, transport), session in shared:
             if not self._renewed(session):

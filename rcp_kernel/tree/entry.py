@@ -202,7 +202,7 @@ class Entry:
         self.parallel = policy == "parallel" or (policy is None and self.kind is Kind.SERVICE)
         """Whether commands run concurrently: the default of services."""
         self.takes_frame: bool | None = None
-        """Whether its input is a goal in a frame that clients name; None: nobody has asked yet."""
+        """Whether its input is a goal in a frame that clients name; None: not determined yet."""
         self.is_hold = False
         """Whether it is the gateway's own hold service, which brings the robot to rest without an e-stop."""
         self.live = resource.live
@@ -354,7 +354,7 @@ class StopGroup:
         """The one robot's name in the tree; None means all of the backend."""
         self.whole: StopGroup = self if robot is None else owner.unit(None)
         self.name = owner.name if robot is None else f"{owner.name}/{robot}"
-        """The key of its latch."""
+        """Its name in errors and in the status; also one of its latches' keys, see `keys`."""
         tenant = "" if owner.tenant is None else tenant_key(owner.tenant)
         self.identity = "" if owner.tenant is None else robot_key(owner.tenant, self._segments())
         """The robot that it is, or is a part of: backends whose resources lie at the same place in
@@ -363,7 +363,7 @@ class StopGroup:
         self.keys = (*own, self.identity, tenant)
         """The keys of all latches that hold it but the gateway's, the narrowest first."""
         self.lost: LostCommand | None = None
-        """The newest of them; its loss policy is still to be carried out."""
+        """The latest lost command; its loss policy has not been applied yet."""
         self._halted = BEFORE
         """Number of stops before the newest halt that has reached it."""
         self.usable_backend: Backend | None = None
@@ -384,11 +384,11 @@ class StopGroup:
         self.own_leases: OwnLeases | None = None
         """The leases on it, as its own gateway reports them; None if it has none, or is not connected."""
         self.retired: Latch | None = None
-        """Permanent reasons to hold it."""
+        """A latch that is never reset: the backend was removed from the configuration."""
         self._latches = latches
         self.all_latches: Mapping[str, Latch] = {} if latches is None else latches.by_key
-        """All latches of the gateway, also of other robots: while there are none, and no `retired`,
-        `latch` need not be looked up."""
+        """All latches of the gateway, also of other robots. Fast path: if empty and `retired` is None,
+        skip the lookup of `latch`."""
         self.own: dict[str, Entry] = {}
         """The resources that are its own: of all of a backend, those of none of its robots."""
         self._stops = 0
@@ -420,12 +420,12 @@ class StopGroup:
 
     @property
     def stops(self) -> int:
-        """Number of e-stops: requests admitted before one never reach it."""
+        """Number of e-stops and of stops by the guard process; requests admitted before one never reach it."""
         return self._stops if self.robot is None else self._stops + self.whole.stops
 
     @property
     def stopped(self) -> float:
-        """When its last e-stop was, by the monotonic clock; -inf if none was in this run."""
+        """When the last of its `stops` was, by `time.monotonic`; -inf if none was in this run."""
         return self._stopped if self.robot is None else max(self._stopped, self.whole.stopped)
 
     def note_lost(self, path: str, began: int) -> bool:
@@ -449,7 +449,7 @@ class StopGroup:
 
         Whoever resets an e-stop sees the robot and takes over, and a reset must not start a motion
         (ISO 13850, 4.1.4): the policy may be to land, or to return home. A robot that is out of reach
-        is nobody's until its link is restored.
+        has no operator until its link is restored.
         """
         if self.usable_backend is not None:
             self.lost = None
@@ -487,7 +487,7 @@ class StopGroup:
         )
 
     def count_stop(self) -> None:
-        """Count an e-stop: nothing that was admitted before reaches it."""
+        """Count a stop: nothing that was admitted before reaches it."""
         self._stops += 1
         self._stopped = time.monotonic()
 

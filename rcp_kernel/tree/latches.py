@@ -42,12 +42,12 @@ class Latch:
 
 
 def tenant_key(tenant: str) -> str:
-    """Return the key of a tenant's latch; that of a part of a robot is its backend's name."""
+    """Return the key of a tenant's latch."""
     return f"/tenant/{tenant}"
 
 
 def robot_key(tenant: str, place: str) -> str:
-    """Return the key that all backends of a robot share; `place` is empty for a tenant's only one."""
+    """Return the key that all backends of a robot share; `place` is empty if the tenant has only one robot."""
     return f"/tenant/{tenant}/{place}"
 
 

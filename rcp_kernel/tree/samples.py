@@ -45,9 +45,8 @@ class Rendering:
     subscriptions with the same function, whole frames by those with the same rendering: create few
     of both. `tail` raises `RcpError` for a sample that is not sent.
 
-    `write_interval`: least time in seconds between two writes of a path's updates. Those that come
-    sooner wait for each other, at most half a queue of them, and share a write; a slower path is not
-    delayed.
+    `write_interval`: least time in seconds between two writes of a path's updates. Earlier updates
+    are batched, up to half a queue, into one write; a slower path is not delayed.
     """
 
     __slots__ = ("__weakref__", "head", "tail", "write_interval")
