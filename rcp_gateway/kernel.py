@@ -25,6 +25,7 @@ from rcp_kernel.safety.estop import Estop
 from rcp_kernel.safety.estop_scopes import EstopScopes
 from rcp_requests.connections import ConnectionParts
 from rcp_requests.handshake import Handshake
+from rcp_store.ledger import Ledger
 from rcp_store.store import Store
 
 __all__ = ["Kernel"]
@@ -91,6 +92,8 @@ class Kernel(Core):
         """Create the features, and connect them to the parts that they extend."""
         control = Control(self.commands, self.deadman)
 
+        ledger = Ledger(self.store)  # one, because it knows the end of the chain
+
         def host(health: FeatureHealth) -> FeatureHost:
             return FeatureHost(
                 health,
@@ -101,6 +104,7 @@ class Kernel(Core):
                 scopes=self.scopes,
                 visibility=self.visibility,
                 store=self.store,
+                ledger=ledger,
                 events=self.event_bus,
                 changes=self.changes,
                 services=self.services,

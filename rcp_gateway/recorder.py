@@ -43,7 +43,8 @@ class Listener:
         self.hears_commands = on_command is not None
         self.hears_feedback = feedback
         self.on_command = on_command or _ignore
-        self.state: Idle = on_command if isinstance(on_command, Idle) else _Busy()
+        may_idle = isinstance(on_command, Idle) and not callable(on_command.idle)
+        self.state: Idle = on_command if may_idle else _Busy()  # pyright: ignore[reportAttributeAccessIssue]
         self.health = health
 
     def missed_event(self, event: Event, error: Exception) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from functools import partial
 
 import structlog
 
@@ -66,7 +67,12 @@ class LossRecovery:
         elif unit.lost is not None and unit not in self._running:
             task = asyncio.create_task(self._recover(unit), name=f"recover {unit.name}")
             self._running[unit] = task
-            task.add_done_callback(lambda _: self._running.pop(unit, None))
+            task.add_done_callback(partial(self._ended, unit))
+
+    def _ended(self, unit: StopGroup, task: asyncio.Task[None]) -> None:
+        self._running.pop(unit, None)
+        if not task.cancelled():  # a command may have been lost since the task looked last
+            self.settle(unit)
 
     def cancel(self) -> None:
         """Cancel what is in progress: the backend closes."""

@@ -126,10 +126,11 @@ class CommandJournal:
         if status != "in_progress" and self._store.keeps:
             self.keep(command)
         for listener in self.listeners:
-            if listener.state.idle or (status == "in_progress" and not listener.hears_feedback):
+            if status == "in_progress" and not listener.hears_feedback:
                 continue
             try:
-                listener.on_command(command, step)
+                if not listener.state.idle:
+                    listener.on_command(command, step)
             except Exception as error:  # a feature must not prevent commands or stops
                 listener.missed_step(command, step, error)
         for follower in tuple(command.followers):

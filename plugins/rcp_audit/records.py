@@ -34,6 +34,8 @@ ACTS = frozenset(("write", "execute"))
 _MOST = 20_000  # pending records above which events are only counted
 _TEXT = 500  # characters of a message
 _KNOWN = 1024  # cached principals
+_SESSIONS = 1024  # of which, and of whose paths, the first fields are cached
+_Known = tuple[Principal | None, str | None, dict[str, Any]]
 _NAME = 500  # characters of a name
 _OWN_WORDS = ("estop",)
 """Events described by their own facts, not by the value of their request."""
@@ -57,6 +59,7 @@ class Records:
         self._publish: Callable[[Any], object] = partial(host.publish, PATH)
         self._ledger = host.ledger
         self._store = host.ledger.store
+        self._known: dict[tuple[str | None, str | None, str], _Known] = {}
         self.throttle = DenialThrottle(host.loop, denials, partial(self.write, "denials"))
 
     def begin(self, host: FeatureHost) -> None:
@@ -68,7 +71,7 @@ class Records:
     def note(self, what: str, event: Event, **more: Any) -> bool:
         """Record an event, unless it is only counted; return whether it is recorded."""
         touches = None if event.touches is None else bounded_touches(event.touches)
-        who = who_did(event.principal, event.session, event.tenant, event.path, touches)
+        who = self._who(event.principal, event.session, event.tenant, event.path, touches)
         # A flood of refusals gets one common record.
         if what == "denial" or self._store.waiting > _MOST:
             transport = event.facts.get("transport")
@@ -109,7 +112,7 @@ class Records:
         several = outline is not None if accepted else own
         touches = bounded_touches(command.touches) if several else None
         principal = None if asker is None else asker.principal
-        facts = who_did(principal, asker, command.tenant, path, touches)
+        facts = self._who(principal, asker, command.tenant, path, touches)
         what = "execute" if accepted else "command"
         outcome = "accepted" if accepted else "ok" if error is None else error["code"]
         if self._store.waiting > _MOST and not self._passes(
@@ -129,6 +132,27 @@ class Records:
             facts["touches"] = list(touches)
         facts["outcome"] = outcome
         self.write(what, facts)
+
+    def _who(
+        self,
+        principal: Principal | None,
+        session: Acting | None,
+        tenant: str | None,
+        path: str | None,
+        touches: Iterable[str] | None,
+    ) -> dict[str, Any]:
+        """Return what `who_did` does, which is the same for all records of a session at one path."""
+        if session is None or touches is not None or (path is not None and len(path) > _TEXT):
+            return who_did(principal, session, tenant, path, touches)
+        key = (path, tenant, session.id)
+        known = self._known.get(key)
+        # A `hello` gives a session another principal, and perhaps another tenant.
+        if known is None or known[0] is not principal or known[1] != session.tenant:
+            if len(self._known) >= _SESSIONS:
+                self._known.clear()
+            who = who_did(principal, session, tenant, path, None)
+            known = self._known[key] = principal, session.tenant, who
+        return {**known[2]}
 
     def _passes(
         self,

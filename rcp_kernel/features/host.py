@@ -48,6 +48,7 @@ class FeatureHost:
         scopes: ScopeRights,
         visibility: Visibility,
         store: Store,
+        ledger: Ledger,
         events: EventBus,
         changes: ViewChanges,
         services: FeatureServices,
@@ -76,8 +77,8 @@ class FeatureHost:
         """Scopes of the tree: their contents and rights."""
         self.visibility = visibility
         """Which parts of the tree and which robots a principal may see."""
-        self.ledger = Ledger(store)
-        """The tamper-evident log in the gateway's store."""
+        self.ledger = ledger
+        """The tamper-evident log in the gateway's store; all features add to the same one."""
         self.changed: Callable[[str], None] = changes.tell
         """Notifies subscribers that the view at a path of the feature's may have changed."""
         self.publish: Callable[[str, Any], None] = changes.tell
@@ -161,7 +162,7 @@ class FeatureHost:
         return shed(session, reason)
 
     def check_place(self, session: Session, request: Request) -> None:
-        """Refuse a request that its session cannot accept, before something is used up for it.
+        """Check the in-flight limit and the request id before consuming an approval.
 
         :raises DuplicateRequest: the request's id is in flight in this session.
         :raises QueueFull: too many requests are in flight.

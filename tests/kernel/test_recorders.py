@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
@@ -119,6 +120,59 @@ async def test_what_declines_feedback_hears_all_other_steps_and_clients_all() ->
         await client.until(lambda m: m.get("id") == id_ and m.get("status") == "in_progress")
         assert (await client.final(id_))["status"] == "completed"
     assert [fact for fact in box.heard if fact.startswith("go ")] == ["go accepted", "go completed"]
+
+
+class Drowsy:
+    """Cannot say any more whether it has anything to do."""
+
+    broken = False
+
+    @property
+    def idle(self) -> bool:
+        if self.broken:
+            raise ZeroDivisionError
+        return True
+
+    def __call__(self, command: Command, step: Record) -> None:
+        """Hear a step."""
+
+
+class DrowsyBox(BlackBox):
+    """Hears commands by something that may be idle."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.drowsy = Drowsy()
+
+    def make(self, table: NoKeys, host: FeatureHost) -> Feature:
+        return dataclasses.replace(super().make(table, host), on_command=self.drowsy)
+
+
+async def test_a_feature_that_cannot_say_whether_it_is_idle_keeps_no_reply_back() -> None:
+    box = DrowsyBox()
+    async with recorded(box) as (client, _):
+        assert (await client.ask(**GO))["status"] == "completed"
+        box.drowsy.broken = True
+        reply = await client.ask(**GO)
+        assert reply["error"]["code"] == "queue_full"  # what would not be on record is refused
+
+
+async def test_all_features_add_to_one_log() -> None:
+    hosts: list[FeatureHost] = []
+
+    def make(_table: NoKeys, host: FeatureHost) -> Feature:
+        hosts.append(host)
+        return Feature()
+
+    config = parse(OFF, "test")
+    made = prepared(config, [])
+    names = ("one", "two")
+    features = msgspec.structs.replace(config, features=dict.fromkeys(names, True))
+    kinds = {name: FeatureKind(name, NoKeys, make) for name in names}
+    made = msgspec.structs.replace(made, features=active(features, kinds, "test"))
+    async with running(made):
+        first, second = (host.ledger for host in hosts)
+        assert first is second
 
 
 async def test_a_reply_leaves_when_its_record_is_kept_and_the_robot_does_not_wait() -> None:

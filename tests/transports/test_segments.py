@@ -4,8 +4,12 @@ import base64
 import hashlib
 from typing import Any
 
+import cbor2
+import msgspec
 import pytest
 
+from rcp_kernel.values import Encoding
+from rcp_ws import segments
 from transports.raw import opened
 from transports.robot import KEY, Site, site
 from transports.test_ws import Client, client
@@ -193,6 +197,16 @@ async def test_a_message_that_only_speaks_of_segments_is_none(gateway: Site) -> 
     async with client(gateway) as peer:
         reply = await peer.ask(type="write", id="1", path="/param/text", body="a segment")
         assert reply["body"] == "a segment"
+
+
+@pytest.mark.parametrize("encoding", list(Encoding))
+def test_no_value_is_made_of_a_message_that_only_speaks_of_segments(
+    monkeypatch: pytest.MonkeyPatch, encoding: Encoding
+) -> None:
+    monkeypatch.setattr("rcp_ws.segments.parse", None)  # it would make all values of a long one
+    message = {"type": "write", "path": "/param/text", "body": {"type": "a segment", "n": [1, 2]}}
+    encode = {"json": msgspec.json.encode, "msgpack": msgspec.msgpack.encode, "cbor": cbor2.dumps}
+    assert segments.read(encode[encoding.value](message), encoding) is None
 
 
 async def test_without_an_agreement_long_messages_go_whole(gateway: Site) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from typing import Annotated, Any, Literal
 
 import cbor2
@@ -44,10 +45,22 @@ class Again(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     resend: list[Annotated[int, Meta(ge=0)]]
 
 
+class _Shell(msgspec.Struct):
+    """What tells a segment from another message; the rest is skipped, and no object made of it."""
+
+    type: msgspec.Raw = msgspec.Raw()
+    resend: msgspec.Raw = msgspec.Raw()
+
+
+_NAMES = (b'"segment"', b"\xa7segment")  # in JSON and in MessagePack
+_CBOR = re.compile(rb"(?:d|x\x04)type(?:g|x\x07)segment")
+"""The field `type` of a segment in CBOR, which cannot be read without the rest."""
 _from_json = msgspec.json.Decoder(Segment)
 _again_json = msgspec.json.Decoder(Again)
 _from_msgpack = msgspec.msgpack.Decoder(Segment)
 _again_msgpack = msgspec.msgpack.Decoder(Again)
+_shell_json = msgspec.json.Decoder(_Shell)
+_shell_msgpack = msgspec.msgpack.Decoder(_Shell)
 
 
 def read(data: bytes, encoding: Encoding) -> Segment | Again | None:
@@ -55,30 +68,45 @@ def read(data: bytes, encoding: Encoding) -> Segment | Again | None:
 
     :raises BadRequest: it is a malformed segment.
     """
+    if encoding is Encoding.CBOR:
+        return _read_cbor(data) if _CBOR.search(data) else None
+    is_json = encoding is Encoding.JSON
     try:
-        if encoding is Encoding.CBOR:
-            return msgspec.convert(parse(data, encoding), Segment)
-        return (_from_json if encoding is Encoding.JSON else _from_msgpack).decode(data)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, BadRequest) as error:
-        return _read_slowly(data, encoding, error)
+        return (_from_json if is_json else _from_msgpack).decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        fault = error
+    try:
+        shell = (_shell_json if is_json else _shell_msgpack).decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+        return None  # the gateway reports the error
+    if bytes(shell.type) not in _NAMES:
+        return None
+    if not bytes(shell.resend):
+        raise _malformed(fault)
+    try:
+        return (_again_json if is_json else _again_msgpack).decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise _malformed(error) from None
 
 
-def _read_slowly(data: bytes, encoding: Encoding, error: Exception) -> Again | None:
+def _read_cbor(data: bytes) -> Segment | Again | None:
     try:
-        plain = parse(data, encoding)
+        plain = parse(data, Encoding.CBOR)
     except BadRequest:
         return None  # the gateway reports the error
     if not isinstance(plain, dict) or plain.get("type") != "segment":
         return None
-    if "resend" not in plain:
-        raise BadRequest(
-            f"malformed segment: {error}",
-            remedy="Send type, id, num, total, size, sha256 and body; or id and resend.",
-        )
     try:
-        return msgspec.convert(plain, Again)
-    except msgspec.ValidationError as cause:
-        raise BadRequest(f"malformed segment: {cause}") from None
+        return msgspec.convert(plain, Again if "resend" in plain else Segment)
+    except msgspec.ValidationError as error:
+        raise _malformed(error) from None
+
+
+def _malformed(error: Exception) -> BadRequest:
+    return BadRequest(
+        f"malformed segment: {error}",
+        remedy="Send type, id, num, total, size, sha256 and body; or id and resend.",
+    )
 
 
 def cut(data: bytes, size: int) -> list[bytes]:

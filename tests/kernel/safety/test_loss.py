@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from pathlib import Path
 
 import pytest
@@ -13,6 +13,7 @@ from kernel.safety.scripted import ADMIN, DRIVE, FAST, GO, Scripted, estop, scri
 from kernel.world import BOUND, Client, World, settled
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.spi import Host, Progress
+from rcp_kernel.tree.entry import StopGroup
 
 pytestmark = pytest.mark.anyio
 
@@ -267,6 +268,36 @@ async def test_a_command_lost_during_a_recovery_is_settled_by_another() -> None:
             await robot.first.wait()
             assert world.server.kernel.registry.entries[GO].unit.note_lost(GO, 0)
             robot.release.set()
+            await robot.second.wait()
+
+
+class Last(Twice):
+    """Loses another command when the recovery from the first has just ended."""
+
+    async def recover(self, robot: str | None) -> str:
+        self.recoveries += 1
+        if self.recoveries == 1:
+            asyncio.get_running_loop().call_soon(self.lose)
+        else:
+            self.second.set()
+        return "landed"
+
+    def lose(self) -> None:
+        self.first.set()
+        self.unit().note_lost(GO, 0)
+        self.host.link_restored()
+
+    unit: Callable[[], StopGroup]
+
+
+async def test_a_command_lost_at_the_end_of_a_recovery_is_settled_by_another() -> None:
+    async with scripted_world(make=Last) as world:
+        robot, admin = scripted(world), world.client(ADMIN)
+        assert isinstance(robot, Last)
+        robot.unit = lambda: world.server.kernel.registry.entries[GO].unit
+        await lose(world, admin)
+        back(robot)
+        async with asyncio.timeout(BOUND):
             await robot.second.wait()
 
 
