@@ -116,6 +116,9 @@ class Calls:
     def __len__(self) -> int:
         return len(self._open)
 
+    def __contains__(self, call: Call) -> bool:
+        return call in self._open
+
     def every(self) -> list[Call]:
         """List the calls in the order in which they began."""
         return list(self._open)
@@ -123,6 +126,11 @@ class Calls:
     def enter(self, call: Call) -> None:
         """Add a call."""
         self._open[call] = None
+
+    def enter_again(self, call: Call) -> None:
+        """Add a call that has left, but whose replies still matter."""
+        self.enter(call)
+        self._by_id.update(dict.fromkeys(call.ids, call))
 
     def name(self, call: Call, id_: str) -> None:
         """Register an id under which a call is sent."""

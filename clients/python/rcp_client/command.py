@@ -156,6 +156,7 @@ class CommandHandle:
         else:
             call.repeat = "never"
             call.listeners.append(self._cancel_now)
+            self._channel.calls.enter_again(call)  # `finish` has removed it
 
     def _cancel_now(self, reply: Reply) -> None:
         if reply.status not in FINAL and self._cancel_now in self._call.listeners:

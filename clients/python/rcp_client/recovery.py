@@ -30,6 +30,7 @@ from rcp_protocol.errors import AdapterUnavailable, RcpError, UnknownPath
 __all__ = ["Recovery", "Requests"]
 
 _ROUNDED = 0.001  # s: as exactly as the gateway tells for how long it has been running
+_DRIFT = 1e-4  # of a time, by which two computers measure it differently
 
 
 class Requests(Protocol):
@@ -131,7 +132,7 @@ class Recovery:
         """
         error = error_of(reply)
         assert error is not None
-        if isinstance(error, (AdapterUnavailable, UnknownPath)):
+        if isinstance(error, (AdapterUnavailable, UnknownPath)) and call.repeat != "never":
             task = asyncio.create_task(self._later(call, tries, error), name="rcp repeat")
             self._repeats.add(task)
             task.add_done_callback(self._repeats.discard)
@@ -139,11 +140,14 @@ class Recovery:
             self._fail(call, error)
 
     async def _later(self, call: Call, tries: Tries, error: RcpError) -> None:
-        link = call.link
+        link, calls = call.link, self._requests.calls
         if not await tries.again(error):
             self._fail(call, error)
-        elif self._requests.is_current(link) and not call.end.done():  # else `restore` judges it
-            self._again(call)
+        elif self._requests.is_current(link) and call in calls:  # else `restore` judges it
+            if call.repeat == "never":  # its caller has given it up meanwhile
+                self._fail(call, error)
+            else:
+                self._again(call)
 
     def _fail(self, call: Call, error: RcpError) -> None:
         error.status = "failed"  # it may have been carried out through another gateway
@@ -181,7 +185,8 @@ class Recovery:
         except (RcpError, KeyError, TypeError, ValueError):
             return True, False
         outside = bool(backends) and all(one.get("gateways") for one in backends)
-        anew = self._met is None or started > self._met or uptime + _ROUNDED < known_for
+        young = uptime + _ROUNDED + _DRIFT * known_for < known_for
+        anew = self._met is None or started > self._met or young
         return anew, outside
 
     async def _look_up(self, lost: list[Call], *, keys: bool) -> None:

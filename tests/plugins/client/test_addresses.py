@@ -146,7 +146,12 @@ class _Hubs:
 
 
 def _unless_resumed(hub: Peer, hello: Message) -> Message | None:
-    return refusal(hello, "gap") if "session" in hello["body"] else hub.welcome(hello)
+    if "session" in hello["body"]:
+        return refusal(hello, "gap")
+    welcome = hub.welcome(hello)
+    assert welcome is not None
+    welcome["body"]["session"] = "s-2"
+    return welcome
 
 
 async def test_of_a_batch_it_is_unknown_what_the_lost_hub_has_carried_out() -> None:
@@ -203,3 +208,87 @@ async def test_nothing_is_repeated_on_a_link_whose_hub_has_not_answered_yet(
         await hubs.tell_status()  # before this, nothing else
         await hubs.second.send(reply(await hubs.second.next("execute"), {"x": 1.0}))
         assert await sent == {"x": 1.0}
+
+
+async def _next_but_pings(hubs: _Hubs) -> str:
+    """Return the type of what the client has sent before a ping, or `ping`."""
+    ping = asyncio.create_task(hubs.client.ping())
+    found = await hubs.second.inbox.get()
+    if found["type"] == "ping":
+        await hubs.second.send(reply(found))
+        await ping
+    ping.cancel()
+    return found["type"]
+
+
+@pytest.mark.parametrize("method", ["execute", "start", "write"])
+async def test_what_is_given_up_while_it_waits_to_be_repeated_is_not_sent_again(
+    monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    monkeypatch.setattr("rcp_client.recovery.Tries", _Pause)
+    async with asyncio.timeout(BOUND), AsyncExitStack() as stack:
+        hubs = await _Hubs.opened(stack)
+        sent = asyncio.create_task(getattr(hubs.client, method)("/action/go", {"x": 1.0}))
+        first = await hubs.first.inbox.get()
+        hubs.fail_over()
+        await hubs.tell_status()
+        again = await hubs.second.next(first["type"])
+        await hubs.second.send(refusal(again, "adapter_unavailable", retryable=True))
+        assert await _next_but_pings(hubs) == "ping"  # it has heard of the refusal
+        sent.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await sent
+        _Pause.over.set()
+        await asyncio.sleep(0)
+        assert await _next_but_pings(hubs) == "ping"
+        assert len(hubs.client.channel.calls) == 0
+
+
+@pytest.mark.parametrize("accepted", [True, False])
+async def test_what_is_given_up_while_its_repeat_is_under_way_is_cancelled(
+    *, accepted: bool
+) -> None:
+    async with asyncio.timeout(BOUND), AsyncExitStack() as stack:
+        hubs = await _Hubs.opened(stack)
+        heard = asyncio.Event()
+        running = hubs.client.execute("/action/go", {"x": 1.0}, on_feedback=lambda _: heard.set())
+        sent = asyncio.create_task(running)
+        asked = await hubs.first.next("execute")
+        if accepted:
+            going = {"status": "in_progress", "command": "c-1"}
+            await hubs.first.send({"type": "execute", "id": asked["id"], **going})
+            await heard.wait()
+        hubs.fail_over()
+        await hubs.tell_status()
+        again = await hubs.second.next("execute")
+        sent.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await sent
+        begun = {"type": "execute", "id": again["id"], "status": "accepted", "command": "c-2"}
+        await hubs.second.send(begun)
+        cancel = await hubs.second.next("cancel")
+        assert cancel["command"] == "c-2"
+        await hubs.second.send(reply(cancel))
+        await hubs.second.send({**begun, "status": "cancelled"})
+        assert await _next_but_pings(hubs) == "ping"
+        assert len(hubs.client.channel.calls) == 0
+
+
+@pytest.mark.parametrize(("behind", "then"), [(1.8, "execute"), (60.0, "read")])
+async def test_clocks_that_run_apart_within_ten_hours_are_no_restart(
+    behind: float, then: str
+) -> None:
+    async with asyncio.timeout(BOUND), peer() as hub:
+        hub.greet = lambda hello: _unless_resumed(hub, hello)
+        async with connect(hub.url, token=OPERATOR, encoding="json") as client:
+            known = 36_000.0  # s
+            client.channel._recovery._met_at -= known  # noqa: SLF001 - it takes ten hours otherwise
+            sent = asyncio.create_task(client.execute("/action/go", {"x": 1.0}))
+            await hub.next("execute")
+            await hub.hang_up()
+            asked = await hub.next("read")
+            started = "2026-05-29T14:00:00.000000000Z"
+            body = {"started": started, "uptime": known - behind, "backends": []}
+            await hub.send(reply(asked, body))
+            await hub.next(then)
+            sent.cancel()
