@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import difflib
 import math
+import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -28,9 +29,17 @@ _RESULTS = {
     9: "invalid parameter 4", 10: "invalid latitude", 11: "invalid longitude",
     12: "invalid altitude", 13: "invalid sequence", 14: "denied", 15: "cancelled",
 }  # fmt: skip
-_MIXED = "An ArduPilot replaces its mission item by item: it may have a part of each. Upload it again before it flies."
+_MIXED = "An ArduPilot replaces its mission and its rally points item by item: it may have a part of each. Upload it again before it flies."
+_UNSURE = "the answer to the last item was lost, and the vehicle is not seen to have the plan"
+_SEE = "Download the plan to see what the vehicle has, and upload it again before it flies."
 _ERROR, _INVALID_SEQUENCE = 1, 13
-_NEAR = 1e-6  # deg
+_STUCK = 20.0  # s without a request for another item, after which a refusal counts
+_RECEIVING = (
+    9.0  # s for an ArduPilot to give up an upload that broke off; it denies a download until then
+)
+_NEAR = 1.5e-7  # deg: one unit of the wire
+_LEVEL = 0.011  # m: an ArduPilot keeps centimetres
+_SHARE, _LEAST = 1e-5, 1e-4  # of a parameter, which is stored in 32 bits
 _PARAMS = ("param1", "param2", "param3", "param4")
 _GLOBAL = frozenset({"relative", "absolute", "terrain"})
 
@@ -99,6 +108,10 @@ class Plans:
         """Tell whether the vehicle counts home as item 0 of a plan."""
         return kind == MISSION and not self._vehicle.family.px4
 
+    def is_mixed(self, kind: int) -> bool:
+        """Tell whether the vehicle replaces a plan item by item, and not at the end of an upload."""
+        return kind != FENCE and not self._vehicle.family.px4
+
     async def upload(
         self, kind: int, items: Sequence[Item], progress: Callable[[float], None] | None = None
     ) -> int:
@@ -118,12 +131,12 @@ class Plans:
         async with self._turn:
             try:
                 doubt = await self._offer(kind, count, messages, progress)
+                if doubt is not None and not await self._has(kind, messages):
+                    raise doubt
             except RcpError as error:
-                if self.has_home(kind) and self._begun:
+                if self.is_mixed(kind) and self._begun:
                     error.remedy = _MIXED
                 raise
-        if doubt is not None and not _are_alike(items, await self.download(kind)):
-            raise doubt
         return len(items)
 
     async def _offer(
@@ -140,54 +153,107 @@ class Plans:
         vehicle = self._vehicle
         with self._following("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") as received:
             last, self._begun = count, False
+            again, since = False, time.monotonic()
             while True:
                 is_last = bool(messages) and last is messages[-1]
                 try:
-                    name, fields = await self._next_message(received, last, kind, "upload")
+                    name, fields, repeated = await self._next_message(
+                        received, last, kind, "upload"
+                    )
                 except DeviceTimeout as error:
                     if is_last and not vehicle.lost:
                         return error
                     raise
+                again = again or repeated
                 if name == "MISSION_ACK":
-                    if last is not count and fields["type"] == _INVALID_SEQUENCE:
+                    is_stuck = time.monotonic() - since > _STUCK
+                    if last is not count and fields["type"] == _INVALID_SEQUENCE and not is_stuck:
                         continue  # of an item sent again: its next request was lost
+                    if is_last and again and fields["type"] == _ERROR:
+                        return DeviceTimeout(_UNSURE, remedy=_SEE)
                     refusal = self._refusal(fields["type"], "the plan is refused")
-                    if refusal is None or (is_last and fields["type"] == _ERROR):
-                        return refusal
+                    if refusal is None:
+                        return None
                     raise refusal
                 seq = fields["seq"]
                 if seq >= len(messages):
                     raise DeviceRejected(f"the vehicle requested item {seq}, which does not exist")
+                again = last is messages[seq]
+                if not again:
+                    since = time.monotonic()
                 last, self._begun = messages[seq], True
                 self._hub.send(vehicle, last)
                 if progress is not None:
                     progress(seq / len(messages))
 
+    async def _has(self, kind: int, messages: Sequence[Any]) -> bool:
+        """Return whether the vehicle is seen to have the plan that it was sent."""
+        try:
+            kept = await self._download(kind, time.monotonic() + _RECEIVING)
+        except RcpError:
+            return False
+        sent = messages[1:] if self.has_home(kind) else messages
+        return len(sent) == len(kept) and all(
+            self._is_alike(kind, self._read({f: getattr(one, f) for f in one.fieldnames}), other)
+            for one, other in zip(sent, kept, strict=True)
+        )
+
+    def _is_alike(self, kind: int, sent: Item, kept: Item) -> bool:
+        """Return whether an item is the one that was sent, in all that the vehicle stores of one."""
+        if sent.command != kept.command:
+            return False
+        if not (
+            abs(sent.latitude - kept.latitude) < _NEAR
+            and abs(sent.longitude - kept.longitude) < _NEAR
+        ):
+            return False
+        if kind == FENCE:  # it has the radius, or the number of corners, and no height
+            return _is_same(sent.params[0], kept.params[0])
+        number = self._commands.get(sent.command)
+        places = number is None or self._hub.dialect.module.enums["MAV_CMD"][number].has_location
+        return (
+            (sent.frame == kept.frame or not places)
+            and abs(sent.altitude - kept.altitude) < _LEVEL
+            and all(map(_is_same, sent.params, kept.params))
+        )
+
     async def download(self, kind: int) -> tuple[Item, ...]:
         """Return the plan stored on the vehicle."""
+        async with self._turn:
+            return await self._download(kind)
+
+    async def _download(self, kind: int, patience: float = 0.0) -> tuple[Item, ...]:
+        """Return the plan; `patience` is until when (monotonic s) a denial is not the last word.
+
+        After an upload that broke off, refusals may be answers to that.
+        """
         vehicle, module = self._vehicle, self._hub.dialect.module
         to = (vehicle.system, vehicle.component)
         found: list[Item] = []
-        async with self._turn:
-            names = "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"
-            with self._following(*names) as received:
-                request = module.MAVLink_mission_request_list_message(*to, kind)
+        with self._following("MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK") as received:
+            request = module.MAVLink_mission_request_list_message(*to, kind)
+            self._hub.send(vehicle, request)
+            while True:
+                try:
+                    _, count, _ = await self._next_message(
+                        received, request, kind, "download", "MISSION_COUNT"
+                    )
+                    break
+                except DeviceRejected:
+                    if time.monotonic() >= patience:
+                        raise
+            for seq in range(count["count"]):
+                request = module.MAVLink_mission_request_int_message(*to, seq, kind)
                 self._hub.send(vehicle, request)
-                _, count = await self._next_message(
-                    received, request, kind, "download", "MISSION_COUNT"
-                )
-                for seq in range(count["count"]):
-                    request = module.MAVLink_mission_request_int_message(*to, seq, kind)
-                    self._hub.send(vehicle, request)
-                    while True:
-                        _, fields = await self._next_message(
-                            received, request, kind, "download", "MISSION_ITEM_INT"
-                        )
-                        if fields["seq"] == seq:
-                            break
-                    found.append(self._read(fields))
-                done = module.MAVLink_mission_ack_message(*to, 0, kind)
-                self._hub.send(vehicle, done)
+                while True:
+                    _, fields, _ = await self._next_message(
+                        received, request, kind, "download", "MISSION_ITEM_INT"
+                    )
+                    if fields["seq"] == seq:
+                        break
+                found.append(self._read(fields))
+            done = module.MAVLink_mission_ack_message(*to, 0, kind)
+            self._hub.send(vehicle, done)
         return tuple(found[1:] if self.has_home(kind) else found)
 
     def _read(self, f: dict[str, Any]) -> Item:
@@ -200,15 +266,15 @@ class Plans:
 
     async def _next_message(
         self, received: _Received, request: Any, kind: int, what: str, wanted: str | None = None
-    ) -> tuple[str, dict[str, Any]]:  # fmt: skip
-        """Return the next message of this transfer; repeats the last request meanwhile.
+    ) -> tuple[str, dict[str, Any], bool]:  # fmt: skip
+        """Return the next message of this transfer, and whether the last request was repeated meanwhile.
 
         :raises DeviceTimeout: the vehicle does not respond.
         """
         config = self._hub.config
         if wanted is None and "COUNT" in request.get_type():
             self._hub.send(self._vehicle, request)
-        for _ in range(config.retries + 1):
+        for tries in range(config.retries + 1):
             try:
                 async with asyncio.timeout(config.timeout):
                     while True:
@@ -220,7 +286,7 @@ class Plans:
                                 raise refusal
                             continue
                         if wanted is None or name == wanted:
-                            return name, fields
+                            return name, fields, tries > 0
             except TimeoutError:
                 self._vehicle.check()
                 self._hub.send(self._vehicle, request)
@@ -248,11 +314,8 @@ class Plans:
         return DeviceRejected(f"{what}: {_RESULTS.get(result, f'result {result}')}")
 
 
-def _are_alike(sent: Sequence[Item], kept: Sequence[Item]) -> bool:
-    """Return whether a vehicle keeps a plan, whose frames and heights it may write in another way."""
-    return len(sent) == len(kept) and all(
-        a.command.removeprefix("MAV_CMD_") == b.command.removeprefix("MAV_CMD_")
-        and abs(a.latitude - b.latitude) < _NEAR
-        and abs(a.longitude - b.longitude) < _NEAR
-        for a, b in zip(sent, kept, strict=True)
-    )
+def _is_same(sent: float | None, kept: float | None) -> bool:
+    """Return whether a parameter is the one that was sent, where None is not set."""
+    if sent is None or kept is None:
+        return sent is kept
+    return math.isclose(sent, kept, rel_tol=_SHARE, abs_tol=_LEAST)

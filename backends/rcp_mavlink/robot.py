@@ -191,7 +191,7 @@ class Robot:
             "service/mission/clear": lambda _, __: self._upload(MISSION, m.Items(())),
             "service/fence/upload": lambda items, _: self._upload(FENCE, items),
             "service/fence/download": lambda _, __: self._download(FENCE),
-            "service/rally/upload": lambda items, _: self._upload(RALLY, items),
+            "service/rally/upload": lambda items, progress: self._upload(RALLY, items, progress),
             "service/rally/download": lambda _, __: self._download(RALLY),
             "service/log/list": logs.list,
             "service/log/read": logs.read,
@@ -398,8 +398,12 @@ class Robot:
 
     # Plans and the rest
 
-    async def _upload(self, kind: int, items: m.Items) -> m.Uploaded:
-        return m.Uploaded(await self.plans.upload(kind, items.items))
+    async def _upload(
+        self, kind: int, items: m.Items, progress: Progress | None = None
+    ) -> m.Uploaded:
+        """Replace a plan; with progress if a refusal may leave a part of it."""
+        told = None if progress is None else lambda part: progress(fraction=part)
+        return m.Uploaded(await self.plans.upload(kind, items.items, told))
 
     async def _download(self, kind: int) -> m.Items:
         return m.Items(await self.plans.download(kind))

@@ -22,5 +22,8 @@ class Faults:
     telemetry: Literal["live", "silent", "stale"] = "live"
     """Heartbeats and replies continue, but other messages are not sent (`silent`), or repeat their
     values and time stamps from the start of the fault (`stale`)."""
+    storage_full: bool = False
+    """An upload of a plan ends with an error at its last item, which is not kept; an ArduPilot has
+    replaced the items of a mission before it, but a fence is that of before."""
     powerless: bool = False
     """The motors stop without the autopilot knowing: a copter falls, a plane glides."""

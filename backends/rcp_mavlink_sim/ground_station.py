@@ -236,7 +236,8 @@ class GroundStation:
             self._stored(plan, [])
             self.send(mav.MAVLink_mission_ack_message(*client, mav.MAV_MISSION_ACCEPTED, kind))
             return
-        self._transfer = self.transfer(plan, message.count, client, self.vehicle.wall)
+        vehicle, self._done = self.vehicle, None
+        self._transfer = self.transfer(plan, message.count, client, vehicle.wall, vehicle.faults)
         self._transfer.request_next(self.send, self.vehicle.wall)
 
     def _mission_item(self, message: Any) -> None:
@@ -273,7 +274,15 @@ class GroundStation:
             refused = mav.MAV_MISSION_UNSUPPORTED
             self.send(mav.MAVLink_mission_ack_message(*client, refused, message.mission_type))
             return
+        if self._receives(plan):
+            denied = mav.MAV_MISSION_DENIED
+            self.send(mav.MAVLink_mission_ack_message(*client, denied, message.mission_type))
+            return
         self.send(mav.MAVLink_mission_count_message(*client, self._counted(plan), plan.kind))
+
+    def _receives(self, plan: Plan) -> bool:
+        """Return whether a plan is being uploaded, so that an ArduPilot denies a download."""
+        return self._transfer is not None and self._transfer.plan is plan
 
     def _counted(self, plan: Plan) -> int:
         """Return how many items a plan has for a ground station."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 
+from rcp_mavlink_sim.faults import Faults
 from rcp_mavlink_sim.wire import mav
 
 __all__ = ["MISSION_COMMANDS", "Item", "Plan", "Transfer"]
@@ -58,14 +59,17 @@ class Transfer:
     """An upload in progress, from one peer."""
 
     mixes = True
-    """Whether a mission is replaced item by item, as an ArduPilot does, and not at its end."""
+    """Whether missions and rally points are replaced item by item, as an ArduPilot does, and not at the end."""
 
-    def __init__(self, plan: Plan, count: int, peer: tuple[int, int], now: float) -> None:
+    def __init__(
+        self, plan: Plan, count: int, peer: tuple[int, int], now: float, faults: Faults
+    ) -> None:
         self._plan, self._count, self._peer = plan, count, peer
+        self._faults = faults
         self._items: list[Item] = []
         self._requested_at = now
         self._tries = 0
-        self._mixes = self.mixes and plan.kind == mav.MAV_MISSION_TYPE_MISSION
+        self._mixes = self.mixes and plan.kind != mav.MAV_MISSION_TYPE_FENCE
         if self._mixes:
             plan.items = plan.items[:count]
 
@@ -104,6 +108,9 @@ class Transfer:
             return True
         if (wrong := self._wrong(message)) is not None:
             self._end(send, wrong)
+            return True
+        if self._faults.storage_full and message.seq == self._count - 1:
+            self._end(send, mav.MAV_MISSION_ERROR)
             return True
         self._items.append(_item(message, self._plan.kind))
         self._tries = 0

@@ -104,6 +104,9 @@ class Px4GroundStation(GroundStation):
     def _counted(self, plan: Plan) -> int:
         return max(0, len(plan.items) - 1) if _is_mission(plan) else len(plan.items)
 
+    def _receives(self, plan: Plan) -> bool:
+        return False
+
     def _mission_request(self, message: Any) -> None:
         plan = self._plan(message.mission_type)
         client = (message.get_srcSystem(), message.get_srcComponent())
