@@ -5,11 +5,11 @@ from __future__ import annotations
 import asyncio
 import sqlite3
 from contextlib import suppress
-from typing import Any
+from functools import partial
 
 import msgspec
-import structlog
 
+from rcp_audit.clock_trust import ClockTrust
 from rcp_audit.config import AuditConfig
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import BadRequest
@@ -19,89 +19,97 @@ from rcp_store.file import ROWS
 
 __all__ = ["Retention"]
 
-log = structlog.get_logger("rcp.audit")
 _LOOK = 60.0  # s between checks
 _AT_ONCE = 10_000  # records deleted in one transaction
 _SLACK = 0.05  # tolerated excess of age or size, so that deletions are rare
 _DAY = 86_400 * 10**9  # ns
-_WAIT = 86_400.0  # s that a clock has to go on after it went ahead by more than that
+_NEVER_SET = 50 * 365 * _DAY  # a clock that was never set is before that
+
+
+class _Timed(msgspec.Struct):
+    """What is read of a record."""
+
+    time: str
+
+
+_decode = msgspec.json.Decoder(_Timed).decode
 
 
 class Retention:
     """Checks the age and size of the log periodically.
 
-    Nothing is deleted for its age while the clock may be wrong: after it went ahead, while the gateway
-    ran or since the last record before, it has to go on like that for a day. If it is set back, nothing
-    was lost.
+    Nothing is deleted for its age by a clock that may be wrong: see `ClockTrust`. If it is set back,
+    nothing was lost.
     """
 
     def __init__(self, host: FeatureHost, config: AuditConfig) -> None:
         self._host = host
         self.config = config
         self._timer: asyncio.TimerHandle | None = None
-        self._stopped = False
-        self._seen: tuple[int, float] | None = None
-        """Wall time at the last check, and the monotonic time then."""
-        self._trusted = 0.0
-        """The monotonic time from which on the clock tells the age of records."""
+        self._started = self._stopped = False
+        self._undated = 0
+        """The last of so many records at the beginning whose time is unknown; for the store's thread."""
+        self._trust = ClockTrust(host.clock, host.store("clock"), lambda: self.config.keep_days)
 
     def start(self, last: str | None = None) -> None:
         """Check now, then periodically; `last` is the time of the last record of an earlier run."""
-        if last is not None:
-            with suppress(BadRequest):
-                self._seen = parse_time(last), self._host.clock.monotonic()
+        time: int | None = None
+        with suppress(BadRequest):
+            time = None if last is None else parse_time(last)
+        self._trust.load(time)
+        self._started = True
         self._check()
 
     def _check(self) -> None:
         self._timer = None
-        self._watch_clock()
-        self._host.ledger.look(self._surplus, self._delete)
-
-    def _watch_clock(self) -> None:
-        wall, moment = self._host.clock.now(), self._host.clock.monotonic()
-        before, self._seen = self._seen, (wall, moment)
-        if before is None:
-            return
-        ahead = (wall - before[0]) / 1e9 - (moment - before[1])
-        if ahead < -_WAIT:
-            self._trusted = 0.0
-        elif ahead > _WAIT and self.config.keep_days is not None:
-            self._trusted = moment + min(_WAIT, self.config.keep_days * _WAIT)
-            log.warning("audit_clock_ahead", seconds=round(ahead), waits=_WAIT)
+        self._host.ledger.look(partial(self._surplus, self._trust.look()), self._delete)
 
     def stop(self) -> None:
         """Stop checking."""
         if self._timer is not None:
             self._timer.cancel()
+        if self._started:
+            self._trust.look()
         self._stopped = True
 
-    def _surplus(self, base: sqlite3.Connection) -> Head | None:
+    def _surplus(self, now: int, base: sqlite3.Connection) -> Head | None:
         """Return the last record to delete; runs on the store's thread."""
         first, last = base.execute("SELECT min(seq), max(seq) FROM audit").fetchone()
         if first is None:
             return None
-        gone = max(self._too_old(base, first, last), self._too_many(base, first, last))
+        gone = max(self._too_old(base, now), self._too_many(base, first, last))
         gone = min(gone, first + _AT_ONCE - 1, last)
         if gone < first:
             return None
         row = base.execute(f"{ROWS} WHERE seq <= ? ORDER BY seq DESC LIMIT 1", (gone,)).fetchone()
         return row[:2]
 
-    def _too_old(self, base: sqlite3.Connection, first: int, last: int) -> int:
+    def _too_old(self, base: sqlite3.Connection, now: int) -> int:
+        """Return the last of the old records at the beginning; 0 if there are none.
+
+        Times need not rise: a robot without a battery starts in 1970, among records of today.
+        """
         days = self.config.keep_days
-        if days is None or self._host.clock.monotonic() < self._trusted:
+        if days is None:
             return 0
-        limit = self._host.clock.now() - int(days * _DAY)
-        if _time(base, first) > limit - int(days * _DAY * _SLACK):
-            return 0
-        low, high = first, min(first + _AT_ONCE, last)
-        while low < high:
-            middle = (low + high + 1) // 2
-            if _time(base, middle) <= limit:
-                low = middle
+        gone, limit = 0, now - int(days * _DAY * (1 + _SLACK))
+        rows = base.execute(
+            "SELECT seq, record FROM audit WHERE seq > ? ORDER BY seq LIMIT ?",
+            (self._undated, _AT_ONCE),
+        )
+        undated = 0
+        for seq, record in rows:
+            time = _time(record)
+            if time > limit:
+                break
+            if time < _NEVER_SET:  # as old as the next
+                undated = seq
             else:
-                high = middle - 1
-        return low
+                limit, gone = now - int(days * _DAY), seq
+        else:
+            if not gone:  # go on from there next time
+                self._undated = max(self._undated, undated)
+        return gone
 
     def _too_many(self, base: sqlite3.Connection, first: int, last: int) -> int:
         limit = self.config.keep_mb
@@ -130,12 +138,8 @@ class Retention:
         self._check()
 
 
-def _time(base: sqlite3.Connection, seq: int) -> int:
-    row = base.execute(
-        "SELECT record FROM audit WHERE seq <= ? ORDER BY seq DESC LIMIT 1", (seq,)
-    ).fetchone()
+def _time(data: bytes) -> int:
     try:
-        record: Any = msgspec.json.decode(row[0])
-        return parse_time(record["time"])
-    except Exception:  # a record that was tampered with counts as old
+        return parse_time(_decode(data).time)
+    except Exception:  # a record that was tampered with is as old as the next
         return 0
