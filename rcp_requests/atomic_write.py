@@ -26,7 +26,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
-from rcp_kernel.safety.safety import ANSWER, Deadman, is_safe
+from rcp_kernel.safety.safety import REPLY_GRACE, Deadman, is_safe
 from rcp_kernel.sessions.command import LinkLost, is_unchanged
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
@@ -281,7 +281,7 @@ class AtomicWriteHandler:
         calls, limited, started = admitted.calls, admitted.limited, perf_counter()
         superseded = [entry for entry in admitted.entries if deadman.begin(entry)]
         # The effect of an unanswered write is unknown.
-        timers = deadman.arm_together(limited, admitted.window + ANSWER) if limited else {}
+        timers = deadman.arm_together(limited, admitted.window + REPLY_GRACE) if limited else {}
         try:
             actual = await _write(backend, {c.entry.name: c.value for c in calls})
         except BaseException as error:

@@ -14,7 +14,7 @@ from rcp_kernel.errors import EstopActive, RcpError
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
-from rcp_kernel.safety.safety import ANSWER, Deadman, safe_value
+from rcp_kernel.safety.safety import REPLY_GRACE, Deadman, safe_value
 from rcp_kernel.sessions.command import LinkLost, is_unchanged
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.session import Answer, Session
@@ -156,7 +156,7 @@ class WriteHandler:
         started = perf_counter()
         superseded = deadman.begin(entry)
         # The effect of an unanswered write is unknown.
-        timer = None if window is None else deadman.arm(entry, window + ANSWER)
+        timer = None if window is None else deadman.arm(entry, window + REPLY_GRACE)
         try:
             actual = await backend.write(entry.name, value)
         except BaseException as error:

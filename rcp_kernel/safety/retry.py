@@ -17,8 +17,8 @@ _AGAIN = 0.01  # s to the second one: with two of three lost, the third leaves w
 _FAILED = 0.05  # s after one that failed
 _SLOWER = 2.0  # times as long to the next, for as long as none is answered, or all fail
 _SLOWEST = 1.0  # s between two at most
-_ABREAST = 8  # unanswered ones, of which the oldest is given up for the next
-_TOLD = 1.0  # s between two log records, at least
+_MAX_CONCURRENT = 8  # unanswered calls; the oldest is cancelled for the next
+_LOG_INTERVAL = 1.0  # s between two log records, at least
 
 
 def retry_until_confirmed(
@@ -49,13 +49,13 @@ async def _until_taken(
 ) -> None:
     loop = asyncio.get_running_loop()
     calls = [first]
-    refused, logged_at = _FAILED, -_TOLD
+    refused, logged_at = _FAILED, -_LOG_INTERVAL
     try:
         while True:
             failure = await _answered(calls, loop.time() + pause)
             if failure is None and not calls:
                 return
-            if failure is not None and loop.time() - logged_at >= _TOLD:
+            if failure is not None and loop.time() - logged_at >= _LOG_INTERVAL:
                 logged_at = loop.time()
                 log.warning(event, error=repr(failure), **facts)
             if calls:
@@ -63,7 +63,7 @@ async def _until_taken(
             else:
                 pause = refused
                 refused = min(refused * _SLOWER, _SLOWEST)
-            if len(calls) >= _ABREAST:
+            if len(calls) >= _MAX_CONCURRENT:
                 calls.pop(0).cancel()
             calls.append(loop.create_task(stop()))
     finally:

@@ -21,7 +21,7 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 
 __all__ = [
-    "ANSWER",
+    "REPLY_GRACE",
     "Deadman",
     "check_age",
     "check_hold",
@@ -31,10 +31,8 @@ __all__ = [
 ]
 
 log = structlog.get_logger("rcp.safety")
-_UNTAKEN = (
-    0.25  # s without the robot accepting a safe value, after which its other backends are halted
-)
-ANSWER = 1.0  # s that a write's window is longer until the robot has answered it
+_ESCALATE_AFTER = 0.25  # s without a safe value being accepted; then other backends are halted
+REPLY_GRACE = 1.0  # s added to a write's validity while its reply is outstanding
 
 
 def check_motion(entry: Entry) -> None:
@@ -127,7 +125,7 @@ class Deadman:
         """Writes that the robot has not answered yet."""
         self.cancelling: dict[str, set[asyncio.Task[Any]]] = {}
         """Cancelled writes that have not ended yet: nothing may overtake them."""
-        self.lapsed = 0
+        self.expired = 0
         """Number of expired commands."""
         self._closed = False
 
@@ -182,7 +180,7 @@ class Deadman:
             task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
         self._stops[entry.path] = task
         helping: list[asyncio.Task[None]] = []
-        late = self._loop.call_later(_UNTAKEN, lambda: helping.extend(self._untaken(entry)))
+        late = self._loop.call_later(_ESCALATE_AFTER, lambda: helping.extend(self._untaken(entry)))
 
         def forget(done: asyncio.Task[None]) -> None:
             late.cancel()
@@ -217,7 +215,7 @@ class Deadman:
         """Wait until cancelled work on an entry has released the robot, within a bound."""
         cancelling = self.cancelling.get(entry.path, set()) - {asyncio.current_task()}
         if cancelling:
-            await asyncio.wait(cancelling, timeout=ANSWER)
+            await asyncio.wait(cancelling, timeout=REPLY_GRACE)
 
     @property
     def driving(self) -> bool:
@@ -271,7 +269,7 @@ class Deadman:
             due = shared.take()
             for entry in due:
                 del self._timers[entry.path]
-            self.lapsed += len(due)
+            self.expired += len(due)
             self._start_together(due)
             for entry in due:
                 self._note(entry, "lapsed")
@@ -292,7 +290,7 @@ class Deadman:
 
     def _lapse(self, entry: Entry) -> None:
         del self._timers[entry.path]
-        self.lapsed += 1
+        self.expired += 1
         self._start(entry)
         self._note(entry, "lapsed")
 
@@ -319,7 +317,7 @@ class Deadman:
     async def _stop_together(self, shared: Shared) -> None:
         entries = shared.members
         try:
-            async with asyncio.timeout(_UNTAKEN):
+            async with asyncio.timeout(_ESCALATE_AFTER):
                 await self._write_safe(entries)
         except Exception as error:
             log.warning("deadman_stop_failed", error=repr(error), path=entries[0].path)

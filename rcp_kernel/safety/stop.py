@@ -31,8 +31,8 @@ log = structlog.get_logger("rcp.safety")
 Phase = Literal["requested", "commanded", "confirmed"]
 _NUMBER = re.compile(r"[-\d.]+")
 _PERIOD = 0.1  # s between two assertions of a latched stop
-_TURNS = 10  # periods in which each robot's own gateway, which asserts by itself, has its turn
-_ALONE = 0.25  # s that the halt of a whole backend may take before its robots are halted one by one
+_REMOTE_PERIODS = 10  # robots with their own gateway are asserted once per this many periods
+_SPLIT_AFTER = 0.25  # s that halting a whole backend may take; then its robots are halted singly
 
 
 StopRecorder = Callable[[StopGroup, str, str | None], None]
@@ -217,7 +217,7 @@ class StopController:
             partial(self._attempt, stop),
             "halt_failed",
             # Its link loses nothing: one call is enough while its gateway has not answered.
-            again=_ALONE if unit.owner.has_gateways else None,
+            again=_SPLIT_AFTER if unit.owner.has_gateways else None,
             backend=unit.name,
         )
         stop.tasks.add(task)
@@ -248,7 +248,7 @@ class StopController:
             for stop in stops:
                 self._retry_unconfirmed(stop)
 
-        late = self._loop.call_later(_ALONE, alone)
+        late = self._loop.call_later(_SPLIT_AFTER, alone)
         with unfenced():
             if whole.owner.has_gateways:  # each answers for itself, and none waits for the slowest
                 for stop in stops:
@@ -351,9 +351,9 @@ class StopController:
 
     def _tick(self) -> None:
         self._timer = None
-        self._turn = (self._turn + 1) % _TURNS
+        self._turn = (self._turn + 1) % _REMOTE_PERIODS
         for number, stop in enumerate(list(self._stops.values())):
-            if stop.unit.owner.has_gateways and number % _TURNS != self._turn:
+            if stop.unit.owner.has_gateways and number % _REMOTE_PERIODS != self._turn:
                 continue
             if stop.unit.latch is None:
                 self.end([stop.unit])

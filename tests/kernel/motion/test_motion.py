@@ -46,7 +46,7 @@ async def drive(client: Client, **fields: Any) -> dict[str, Any]:
 async def test_a_write_that_is_never_answered_lapses_all_the_same(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(write, "ANSWER", 0.05)
+    monkeypatch.setattr(write, "REPLY_GRACE", 0.05)
     robot = Hanging(world)
     client = world.client()
     client.send(type="write", path="/actuator/drive", body=FORWARD)
@@ -172,4 +172,4 @@ async def test_the_repeat_of_a_write_keeps_its_own_deadline(world: World) -> Non
 
 
 def test_the_window_of_an_unanswered_write_is_bounded() -> None:
-    assert safety.ANSWER <= 1.0
+    assert safety.REPLY_GRACE <= 1.0
