@@ -58,7 +58,7 @@ class CommandAccess:
 
     def visited(self, session: Session) -> Iterator[Command | None]:
         """Iterate over all commands, newest first; None stands for a hidden one."""
-        known = sorted(self._journal.every(), key=lambda command: command.age, reverse=True)
+        known = sorted(self._journal.every(), key=lambda command: command.order_key, reverse=True)
         return (command if self.sees(session, command) else None for command in known)
 
     def find(self, session: Session, id_: str) -> Command:

@@ -10,11 +10,11 @@ import structlog
 from msgspec import Raw
 from msgspec.structs import asdict
 
+from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.contract.paths import EVERYTHING
 from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Continuation, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue
-from rcp_kernel.sessions.resume import hashed
 from rcp_kernel.tree.entry import is_system
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, error_body
@@ -34,7 +34,7 @@ def as_row(command: Command) -> dict[str, Any]:
         "proof": command.proof,
         "tenant": command.tenant,
         "request_id": command.request_id,
-        "session": None if command.session is None else hashed(command.session),
+        "session": None if command.session is None else fingerprint(command.session),
         "touches": command.touches,
         "input": _written(command.input),
         "created": command.created,

@@ -190,7 +190,7 @@ class Connection:
                         outbox.control.append(reply)
                         outbox.waiting += size
                         if outbox.waiting > SHARE:
-                            outbox.weigh()
+                            outbox.update_backlog()
                     return
             if request.type == "hello":
                 self._hello(request)

@@ -9,13 +9,13 @@ from typing import Any
 from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.identity import Principal, same
+from rcp_kernel.contract.identity import Principal, fingerprint, same
 from rcp_kernel.errors import Gap, Unauthenticated
 from rcp_kernel.sessions.accounting import SessionAccounting
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.sessions.notices import notice
-from rcp_kernel.sessions.resume import SessionResume, StoredSession, Subscribe, hashed
+from rcp_kernel.sessions.resume import SessionResume, StoredSession, Subscribe
 from rcp_kernel.sessions.session import Answer, Session, SessionConnection
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.wire import VERSION, failure
@@ -186,7 +186,7 @@ class Handshake:
             session.id = hello.session
         session.secret = proof or session.secret
         session.created, session.cut = kept.created, kept.cut or self._stored.ended
-        name = hashed(session.id)
+        name = fingerprint(session.id)
         session.commands = {c.id: c for c in self._commands.every() if c.session == name}
         self._sessions.known[session.id] = session
         self._sessions.watch(session)
@@ -227,7 +227,7 @@ class Handshake:
             session.overflowed = 0
         while session.missed:
             connection.send(session.missed.popleft()[0])
-        session.let_missed_go()
+        session.discard_missed()
         while session.missed_notices:
             code, facts = session.missed_notices.popleft()
             notice(connection.outbox, code, **facts)
@@ -238,7 +238,7 @@ class Handshake:
 def _proves(text: str, session: Session | StoredSession) -> bool:
     """Return whether a text is the resume token of a session."""
     if isinstance(session, StoredSession):
-        text = hashed(text)
+        text = fingerprint(text)
     return secrets.compare_digest(session.secret.encode(), text.encode())
 
 

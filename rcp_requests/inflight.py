@@ -67,7 +67,7 @@ class InFlight:
             key = (
                 f"\0{secrets.token_hex(8)}"
                 if urgent
-                else session.reserve(request, self._settings.limits.in_flight)
+                else session.in_flight_key(request, self._settings.limits.in_flight)
             )
         except RcpError:
             work.close()

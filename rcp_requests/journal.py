@@ -178,9 +178,9 @@ class CommandJournal:
     ) -> None:
         """Answer a request with the steps of a command, starting with its latest one.
 
-        :raises DuplicateRequest, QueueFull: see `Session.reserve`.
+        :raises DuplicateRequest, QueueFull: see `Session.in_flight_key`.
         """
-        key = session.reserve(request, self._settings.limits.in_flight)
+        key = session.in_flight_key(request, self._settings.limits.in_flight)
         session.inflight.add(key)
         if self._replies.demands:
             answer = self._replies.when_stored(answer, request)

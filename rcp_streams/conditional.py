@@ -32,12 +32,12 @@ class ConditionalSubscriptions:
             self._feeds[feed] = session
             if not self._waits:
                 self._waits = True
-                self._hub.later(_PERIOD, self._look)
+                self._hub.later(_PERIOD, self._poll)
         else:
             self._feeds.pop(feed, None)
         self._settle(session, feed)
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         for feed, session in list(self._feeds.items()):
             if feed.subscription.feeds.get(feed.entry.path) is not feed:
                 del self._feeds[feed]
@@ -46,7 +46,7 @@ class ConditionalSubscriptions:
             # Otherwise its rights have just changed, and what follows from that is under way.
         self._waits = bool(self._feeds)
         if self._waits:
-            self._hub.later(_PERIOD, self._look)
+            self._hub.later(_PERIOD, self._poll)
 
     def _settle(self, session: Session, feed: PathSubscription) -> None:
         may = session.rights.permits(feed.entry, Operation.SUBSCRIBE)

@@ -64,13 +64,13 @@ class SharedFanout:
     """
 
     __slots__ = (
+        "_flush_scheduler",
         "_frames",
         "_made",
         "_patience",
         "_sent_at",
         "_sent_end",
         "_tails",
-        "_ticker",
         "_timer",
         "depth",
         "dirty",
@@ -85,7 +85,7 @@ class SharedFanout:
         self.depth = depth
         self.write_interval = write_interval
         """Seconds between two writes; 0: samples are sent as they come."""
-        self._ticker = ticker
+        self._flush_scheduler = ticker
         self._patience = depth // 2
         """Number of samples that wait for each other: less than would be skipped."""
         self._sent_at = 0.0
@@ -111,7 +111,7 @@ class SharedFanout:
         self.end += 1
         if not self.dirty and not (self.write_interval and self._waits()):
             self.dirty = True
-            self._ticker.mark(self)
+            self._flush_scheduler.mark(self)
         if not self.marked:
             self.marked = True
             for member in self.members:
@@ -128,14 +128,14 @@ class SharedFanout:
                 self._timer = None
             return False
         if self._timer is None:
-            self._timer = self._ticker.later(wait + _GRACE, self._waited)
+            self._timer = self._flush_scheduler.later(wait + _GRACE, self._waited)
         return True
 
     def _waited(self) -> None:
         self._timer = None
         if not self.dirty:
             self.dirty = True
-            self._ticker.mark(self)
+            self._flush_scheduler.mark(self)
 
     def on_flush(self) -> None:
         """Send pending samples to every member, directly if nothing else is queued for it.

@@ -74,11 +74,11 @@ class Rights:
         "__weakref__",
         "_allow",
         "_asked",
+        "_budget",
         "_conditions",
         "_deny",
         "_folders",
         "_granted",
-        "_room",
         "_terms",
         "approve",
         "grants",
@@ -91,7 +91,7 @@ class Rights:
         grants: Grants,
         roles: dict[str, Role],
         conditions: Conditions | None = None,
-        room: Room | None = None,
+        budget: CacheBudget | None = None,
     ) -> None:
         self.grants = grants
         self.tenants = tuple(tenant for tenant, _ in grants)
@@ -117,8 +117,8 @@ class Rights:
         """Where a person must approve commands; usually empty."""
         self._asked: dict[str, bool] = {}
         self._conditions = conditions
-        self._room = room or Room()
-        self._room.users.add(self)
+        self._budget = budget or CacheBudget()
+        self._budget.users.add(self)
         self._terms: dict[str, _Terms] = {}
         self._folders: dict[str, int | None] = {}
         """The mask of all that is in a folder; None if rules distinguish paths within the folder."""
@@ -139,7 +139,7 @@ class Rights:
             return False
         found = self._asked.get(path)
         if found is None:
-            self._room.take()
+            self._budget.take()
             found = self._asked[path] = bool(self._matching(self.approve, path))
         return found
 
@@ -191,7 +191,7 @@ class Rights:
         try:
             known = self._folders[folder]
         except KeyError:
-            self._room.take()
+            self._budget.take()
             alike = not any(_tells_apart(r.pattern.text, folder) for r in self._near(folder))
             known = self._folders[folder] = self.compute_mask(path) if alike else None
         return self.compute_mask(path) if known is None else known
@@ -213,7 +213,7 @@ class Rights:
     def remember(self, path: str, mask: int) -> None:
         """Keep the mask of an existing path."""
         if path not in self.masks:
-            self._room.take()
+            self._budget.take()
         self.masks[path] = mask
 
     def compute_mask(self, path: str) -> int:
@@ -268,7 +268,7 @@ class Rights:
         terms = self._terms.get(path)
         if terms is None:
             allow, deny = self._matching(self._allow, path), self._matching(self._deny, path)
-            self._room.take()
+            self._budget.take()
             terms = self._terms[path] = _Terms(
                 _bits(r for r in allow if r.when is None),
                 [r for r in allow if r.when is not None],
@@ -291,7 +291,7 @@ class Rights:
         self._asked.clear()
 
 
-class Room:
+class CacheBudget:
     """Limits how many paths all rights together cache."""
 
     def __init__(self) -> None:
@@ -370,7 +370,7 @@ class Rules:
     def configure(self, roles: dict[str, Role]) -> None:
         """Apply other roles; new sessions do not use rights compiled from previous ones."""
         self.roles = {**self._built_in, **roles}
-        self._room = Room()
+        self._budget = CacheBudget()
         self._compiled: dict[Grants, Rights] = {}
         conditions = self._conditions
         if conditions is not None:
@@ -383,6 +383,6 @@ class Rules:
         if rights is None:
             if len(self._compiled) >= _MAX_COMPILED:
                 del self._compiled[next(iter(self._compiled))]
-            rights = Rights(principal.grants, self.roles, self._conditions, self._room)
+            rights = Rights(principal.grants, self.roles, self._conditions, self._budget)
             self._compiled[principal.grants] = rights
         return rights

@@ -83,8 +83,8 @@ class Identities:
         self._certificates = Certificates(config.certificates, clock)
         self._keyring = _keyring(config)
         self._anonymous = _anonymous(config)
-        self._attempts = AuthThrottle(config.limits.failed_logins, self._loop.time)
-        self._others = AuthThrottle(config.limits.failed_logins, self._loop.time)
+        self._token_throttle = AuthThrottle(config.limits.failed_logins, self._loop.time)
+        self._login_throttle = AuthThrottle(config.limits.failed_logins, self._loop.time)
         """Attempts with a third party, which wrong keys from the same address do not block."""
 
     def set_authenticators(self, authenticators: Iterable[Authenticator]) -> None:
@@ -108,7 +108,9 @@ class Identities:
         self._certificates = Certificates(config.certificates, self._clock, self._certificates)
         self._keyring = _keyring(config)
         self._anonymous = _anonymous(config)
-        self._attempts.allowance = self._others.allowance = config.limits.failed_logins
+        self._token_throttle.allowance = self._login_throttle.allowance = (
+            config.limits.failed_logins
+        )
 
     def revoke(self, serials: frozenset[Serial]) -> None:
         """Revoke client certificates, in open sessions too."""
@@ -211,9 +213,9 @@ class Identities:
         except TokenExpired:  # it was valid once, so it was not guessed
             raise
         except Unauthenticated:
-            self._attempts.failed(peer.address, digest)
+            self._token_throttle.failed(peer.address, digest)
             raise
-        self._attempts.succeeded(digest)
+        self._token_throttle.succeeded(digest)
         return principal
 
     async def wait(self, token: str, peer: Peer = UNKNOWN) -> Principal:
@@ -239,7 +241,7 @@ class Identities:
         :raises RateLimited: it has failed too often.
         """
         try:
-            self._others.check(peer.address, "")
+            self._login_throttle.check(peer.address, "")
         except RateLimited as error:
             wait = error.retry_after or 1.0
             raise RateLimited(
@@ -247,15 +249,15 @@ class Identities:
                 retry_after=error.retry_after,
                 remedy=f"Wait {math.ceil(wait)} s, then log in again.",
             ) from None
-        self._others.failed(peer.address, "")
+        self._login_throttle.failed(peer.address, "")
         try:
             yield
         except Unauthenticated:
             raise
         except BaseException:
-            self._others.forgive(peer.address)
+            self._login_throttle.forgive(peer.address)
             raise
-        self._others.forgive(peer.address)
+        self._login_throttle.forgive(peer.address)
 
     def _proved(self, digest: str) -> Principal | None:
         found = self._keyring.proves(digest)
@@ -270,7 +272,7 @@ class Identities:
         authenticator = self._authenticator_of(token)
         if not fetched:
             signed = authenticator is not None and authenticator.signed
-            self._attempts.check(peer.address, digest, signed=signed)
+            self._token_throttle.check(peer.address, digest, signed=signed)
         if authenticator is None:
             raise Unauthenticated("unknown token")
         principal = _contained(authenticator.verify, token, digest, fetched=fetched)

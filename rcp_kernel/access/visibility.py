@@ -31,7 +31,7 @@ _PATHS = re.compile(r"/tenant/[\w.-]+(?:/[\w.-]+)*", re.ASCII)
 _SHORT = re.compile(rf"(?:{'|'.join(_KINDS)})(?:[./][\w-]+)+", re.ASCII)
 _encode = msgspec.json.encode
 _LONGEST = 65_536  # bytes that are searched, which takes 2 ms
-_STRANGE = 32  # unknown names, which are checked against the rules one by one
+_MAX_UNKNOWN = 32  # unknown names, which are checked against the rules one by one
 _RESOURCE = 4  # minimum number of slashes in the path of a resource; shorter paths are scopes
 _ROBOT = 3  # slashes of the key of a robot
 
@@ -103,10 +103,10 @@ class Visibility:
 
         A name without a tenant refers to a resource of `tenant`, or of any tenant if that is None.
         """
-        strange = 0
+        unknown = 0
         for name in names:
-            strange += name not in self._registry.entries
-            if strange > _STRANGE or name == EVERYTHING:
+            unknown += name not in self._registry.entries
+            if unknown > _MAX_UNKNOWN or name == EVERYTHING:
                 return not self.sees_whole(rights, None)
             if self._hides(rights, tenant, name[:MAX_PATH]):
                 return True

@@ -167,4 +167,4 @@ class FeatureHost:
         :raises DuplicateRequest: the request's id is in flight in this session.
         :raises QueueFull: too many requests are in flight.
         """
-        session.reserve(request, self._settings.limits.in_flight)
+        session.in_flight_key(request, self._settings.limits.in_flight)

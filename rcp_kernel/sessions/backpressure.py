@@ -69,11 +69,11 @@ class Relief:
     def start(self) -> None:
         """Check queued data periodically while there are sessions."""
         if self._timer is None:
-            self._timer = self._loop.call_later(_SWEEP, self._look)
+            self._timer = self._loop.call_later(_SWEEP, self._poll)
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         sessions = self._sessions()
-        self._timer = self._loop.call_later(_SWEEP, self._look) if sessions else None
+        self._timer = self._loop.call_later(_SWEEP, self._poll) if sessions else None
         held: list[tuple[int, Session]] = []
         for session in sessions:
             connection = session.connection

@@ -252,8 +252,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
         return unrecorded(reply, "could not be written") if lost else reply
 
     @property
-    def age(self) -> tuple[int, str]:
-        """By what commands are ordered, which never changes: when it came, and its id."""
+    def order_key(self) -> tuple[int, str]:
+        """Sort key: creation time and id."""
         return self.created, self.id
 
     def plain(self, *, history: bool = True) -> dict[str, Any]:

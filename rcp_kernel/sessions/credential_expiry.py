@@ -33,7 +33,7 @@ class CredentialExpiry:
         self.forget(session)
         if session.principal.expires is not None:
             # Not at once: the connection is created after the session.
-            session.expiry_check = self._loop.call_later(0.0, self._look, session, False)
+            session.expiry_check = self._loop.call_later(0.0, self._poll, session, False)
 
     def forget(self, session: Session) -> None:
         """Stop monitoring a session."""
@@ -41,7 +41,7 @@ class CredentialExpiry:
             session.expiry_check.cancel()
             session.expiry_check = None
 
-    def _look(self, session: Session, warned: bool) -> None:  # noqa: FBT001 - for `call_later`
+    def _poll(self, session: Session, warned: bool) -> None:  # noqa: FBT001 - for `call_later`
         session.expiry_check = None
         expires = session.principal.expires
         if expires is None:
@@ -54,7 +54,7 @@ class CredentialExpiry:
             warned = True
             _tell(session, expires, left)
         wait = min(left if warned else left - _AHEAD, _LOOK)
-        session.expiry_check = self._loop.call_later(wait, self._look, session, warned)
+        session.expiry_check = self._loop.call_later(wait, self._poll, session, warned)
 
 
 def _tell(session: Session, expires: int, left: float) -> None:

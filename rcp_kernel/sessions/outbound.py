@@ -166,9 +166,9 @@ class Outbound:
 
     def _watch(self) -> None:
         if self._timer is None:
-            self._timer = self._loop.call_later(_LOOK, self._look)
+            self._timer = self._loop.call_later(_LOOK, self._poll)
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         """Close the clients that have exceeded their share for too long, largest first, until there is room."""
         self._timer = None
         over = self.total - self.limit

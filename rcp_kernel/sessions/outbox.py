@@ -171,7 +171,7 @@ class Outbox:
     """Data to send on one connection; the transport collects it when its socket is writable."""
 
     __slots__ = (
-        "_ticker",
+        "_flush_scheduler",
         "alone",
         "backlog",
         "begins",
@@ -203,7 +203,7 @@ class Outbox:
         flush: Callable[[], None],
         backlog: Backlog,
     ) -> None:
-        self._ticker = ticker
+        self._flush_scheduler = ticker
         self.backlog = backlog
         """The count of this client's unread bytes."""
         self.on_flush: Callable[[], None] | None = flush
@@ -251,10 +251,10 @@ class Outbox:
         self.control.append(data)
         self.waiting += len(data)
         if self.waiting > SHARE:
-            self.weigh()
+            self.update_backlog()
         if not self.dirty:
             self.dirty = True
-            self._ticker.mark(self)
+            self._flush_scheduler.mark(self)
 
     def put_first(self, data: bytes) -> None:
         """Queue a control message ahead of all others."""
@@ -299,15 +299,15 @@ class Outbox:
         """Set the number of bytes that the transport has written and the client has not read."""
         if buffered != self.buffered:
             self.buffered = buffered
-            self.weigh()
+            self.update_backlog()
 
     def park(self, size: int) -> None:
         """Set the number of bytes that the transport sends in segments, or keeps to repeat them."""
         if size != self.parked:
             self.parked = size
-            self.weigh()
+            self.update_backlog()
 
-    def weigh(self) -> None:
+    def update_backlog(self) -> None:
         """Update the backlog."""
         self.backlog.set(self.waiting + self.parked + self.buffered)
 
@@ -342,7 +342,7 @@ class Outbox:
         """Call the transport in the next tick."""
         if not self.dirty:
             self.dirty = True
-            self._ticker.mark(self)
+            self._flush_scheduler.mark(self)
 
     def flush(self) -> None:
         """Call the transport, which collects if its socket is writable."""
@@ -389,7 +389,7 @@ class Outbox:
             room -= len(data)
             out.append(data)
         if self.backlog.size:
-            self.weigh()
+            self.update_backlog()
         if out and wrap is not None:
             out = [wrap(data, None) for data in out]
         elif out and self.framing is not None:

@@ -7,7 +7,6 @@ subscriptions. It becomes a session again when its client returns and proves to 
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import hmac
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ import structlog
 
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.identity import Principal, fingerprint
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.sessions.notices import notice
 from rcp_store.store import Store
@@ -25,7 +24,7 @@ from rcp_store.store import Store
 if TYPE_CHECKING:
     from rcp_kernel.sessions.session import Session, SessionSubscription
 
-__all__ = ["SessionResume", "StoredSession", "hashed"]
+__all__ = ["SessionResume", "StoredSession"]
 
 Subscribe = Callable[["Session", str, dict[str, Any]], None]
 log = structlog.get_logger("rcp.store")
@@ -33,11 +32,6 @@ _TABLE = "sessions"
 _SUBSCRIPTIONS = "subscriptions"
 _LIFE = "life"
 _BEAT = 5.0  # s between notes that the gateway is alive: how exactly the moment of a crash is known
-
-
-def hashed(secret: str) -> str:
-    """Return the stored form of an id or a token."""
-    return hashlib.sha256(secret.encode()).hexdigest()
 
 
 class StoredSession(msgspec.Struct):
@@ -119,7 +113,7 @@ class SessionResume:
         if not store.keeps or not session.greeted:
             return
         kept = StoredSession(
-            hashed(session.secret),
+            fingerprint(session.secret),
             session.principal,
             session.tenant,
             session.transport,
@@ -128,7 +122,7 @@ class SessionResume:
         )
         row = msgspec.to_builtins(kept)
         del row["subscriptions"]
-        store.put(_TABLE, hashed(session.id), row)
+        store.put(_TABLE, fingerprint(session.id), row)
         if session.cut is None:
             for subscription in session.subscriptions.values():
                 self.subscribed(session, subscription)
@@ -139,17 +133,17 @@ class SessionResume:
             return
         row = subscription.stored()
         if row is not None:
-            self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{subscription.id}", row)
+            self._store.put(_SUBSCRIPTIONS, f"{fingerprint(session.id)}/{subscription.id}", row)
 
     def unsubscribed(self, session: Session, id_: str) -> None:
         """Delete a stored subscription."""
         if self._store.keeps and session.greeted:
-            self._store.put(_SUBSCRIPTIONS, f"{hashed(session.id)}/{id_}", None)
+            self._store.put(_SUBSCRIPTIONS, f"{fingerprint(session.id)}/{id_}", None)
 
     def forget(self, session: Session) -> None:
         """Remove a session that has ended; one that ends with the gateway can be resumed."""
         if self._store.keeps and not self._shutdown.begun:
-            name = hashed(session.id)
+            name = fingerprint(session.id)
             self._delete(name, [f"{name}/{id_}" for id_ in session.subscriptions])
 
     def _delete(self, name: str, subscriptions: list[str]) -> None:
@@ -161,7 +155,7 @@ class SessionResume:
 
     def find(self, named: str) -> StoredSession | None:
         """Return the session of an earlier run that a client names by its id or its token."""
-        text = hashed(named)
+        text = fingerprint(named)
         found = self._kept.get(text)
         return found or next((kept for kept in self._kept.values() if _same(kept, text)), None)
 

@@ -241,7 +241,7 @@ class Session:
         """Whether the session belongs to a transport without connections (HTTP)."""
         return self.connection is None and self.cut is None
 
-    def reserve(self, request: Request, most: int) -> str:
+    def in_flight_key(self, request: Request, most: int) -> str:
         """Return the key by which a request is kept in `inflight`, of at most `most` unanswered ones.
 
         :raises DuplicateRequest: the id is in use.
@@ -312,7 +312,7 @@ class Session:
         self._count_missed(-self.missed.popleft()[1])
         self.overflowed += 1
 
-    def let_missed_go(self) -> None:
+    def discard_missed(self) -> None:
         """Discard the replies stored for the client: it has resumed, or cannot."""
         self.missed.clear()
         self.missed_bytes = 0

@@ -77,7 +77,7 @@ class Sessions:
         """Called with a session whose rights have changed."""
         self.on_review: list[Callable[[], None]] = []
         """Called when the rights of holders may have changed."""
-        self._lapsing = CredentialExpiry(loop, clock, self._expel)
+        self._credential_expiry = CredentialExpiry(loop, clock, self._expel)
         self.relief = Relief(loop, known.values, outbound)
         identities.on_change.append(self.review)
 
@@ -142,7 +142,7 @@ class Sessions:
 
     def watch(self, session: Session) -> None:
         """End a session when the credentials of its principal expire."""
-        self._lapsing.watch(session)
+        self._credential_expiry.watch(session)
 
     def _make_room(self) -> None:
         """Drop the session that has waited longest for its client, of the tenant with the most.
@@ -166,7 +166,7 @@ class Sessions:
             session = Session(principal, rights, chosen, transport, clock=self.clock, shared=True)
             self._accounting.update(session)
             if len(self._stateless) >= _STATELESS:
-                self._lapsing.forget(self._stateless.pop(next(iter(self._stateless))))
+                self._credential_expiry.forget(self._stateless.pop(next(iter(self._stateless))))
             self._stateless[key] = session
             self.logged_in(session, peer)
         return session
@@ -196,11 +196,10 @@ class Sessions:
             if not self._renewed(session):
                 ended.append(session)
                 continue
-            tenants = self._identities.tenants_of(session.principal)
             if tenant is None:  # as for a first request
-                session.tenant = tenants[0] if tenants else None
-            elif tenant not in tenants:
-                self._lapsing.forget(session)
+                session.tenant = self._identities.tenant_for(session.principal, None)
+            elif tenant not in self._identities.tenants_of(session.principal):
+                self._credential_expiry.forget(session)
                 continue
             self._stateless[session.principal, tenant, transport] = session
         ended += [session for session in list(self.known.values()) if not self._renewed(session)]
@@ -224,13 +223,12 @@ class Sessions:
         """Continue a session with the current rights of its principal."""
         session.principal = principal
         session.rights = self._rules.rights(principal)
-        tenants = self._identities.tenants_of(principal)
-        if session.tenant not in tenants:
-            session.tenant = tenants[0] if tenants else None
+        if session.tenant not in self._identities.tenants_of(principal):
+            session.tenant = self._identities.tenant_for(principal, None)
         self._accounting.update(session)
         for renewed in self.on_renewal:
             renewed(session)
-        self._lapsing.watch(session)
+        self._credential_expiry.watch(session)
 
     def _expel(self, session: Session, why: RcpError | None = None) -> None:
         """End a session with invalid credentials, and all that it holds."""
@@ -252,7 +250,7 @@ class Sessions:
         for ending in list(session.endings):
             ending(error)
         session.rights = Rights((), {})  # for requests already in transit
-        self._lapsing.forget(session)
+        self._credential_expiry.forget(session)
         if session.id in self.known or not self._elsewhere(session):
             self.drop(session)
 
@@ -294,10 +292,10 @@ class Sessions:
             ended(session)
         self._resume.forget(session)
         self._accounting.leave(session)
-        self._lapsing.forget(session)
+        self._credential_expiry.forget(session)
         if session.expiry is not None:
             session.expiry.cancel()
         for subscription in session.subscriptions.values():
             subscription.forget()
         session.subscriptions.clear()
-        session.let_missed_go()
+        session.discard_missed()

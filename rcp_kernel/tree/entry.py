@@ -171,7 +171,6 @@ class Entry:
         "tenant",
         "unit",
         "value_type",
-        "written",
     )
 
     def __init__(
@@ -225,8 +224,6 @@ class Entry:
         """Receivers of values in other frames from the robot's own gateway."""
         self.sustained = 0.0
         """Rate in Hz at which it is published regardless of subscribers."""
-        self.written: float | None = None
-        """Monotonic time of the last write, for rates of change and the dead-man."""
         self.clock = clock
         self._now = clock.now
         self._monotonic = clock.monotonic
@@ -300,7 +297,6 @@ class Entry:
         self.keeps_history = old.keeps_history
         self.listeners, self.framed = old.listeners, old.framed
         self.sustained = old.sustained
-        self.written = old.written
         if old.resource.value == self.resource.value:
             self.latest, self.ring, self._heard = old.latest, old.ring, old._heard
 

@@ -43,7 +43,7 @@ class Wanted(NamedTuple):
 
     def takes(self, command: Command) -> bool:
         """Return whether a command matches the filters."""
-        if self.after is not None and command.age >= self.after:
+        if self.after is not None and command.order_key >= self.after:
             return False
         if self.path is not None and command.path != self.path:
             return False
