@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
+from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.errors import Forbidden
 from rcp_kernel.features.approval import Decision
@@ -61,12 +61,15 @@ class Question:
     seen: tuple[str, ...]
     """Paths that must be visible to whoever decides."""
     tenants: frozenset[str]
-    until: float
-    """When it expires, by `monotonic`: a clock that is set back must not prolong it."""
+    until: tuple[float, int]
+    """When it expires, by `Clock.monotonic` and by `Clock.now`: whichever comes first.
+
+    Wall time may be set back, and monotonic time stands still while the computer is suspended.
+    """
     digest: bytes
     """Digest of this command by this principal."""
-    monotonic: Callable[[], float]
-    """The gateway's `Clock.monotonic`."""
+    clock: Clock
+    """The gateway's."""
 
     @property
     def requester(self) -> tuple[str, str]:
@@ -76,7 +79,8 @@ class Question:
     @property
     def over(self) -> bool:
         """Whether its time has passed."""
-        return self.until <= self.monotonic()
+        running, wall = self.until
+        return running <= self.clock.monotonic() or wall <= self.clock.now()
 
     @property
     def status(self) -> _Status:

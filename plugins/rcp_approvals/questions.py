@@ -107,21 +107,19 @@ class Questions:
     ) -> Question:
         self._make_room(session.principal)
         moment, clock, ttl = self._clock.now(), self._clock, self.config.ttl
+        until = clock.monotonic() + ttl, moment + int(ttl * 1e9)
         state = ApprovalState(
             approval=ID + secrets.token_hex(8),
             request="write" if request.type == "write" else "execute",
             path=entry.path,
             principal=session.principal.name,
             asked=iso(moment),
-            expires=iso(moment + int(ttl * 1e9)),
+            expires=iso(until[1]),
             value=shown(value),
             steps=about.steps,
         )
         tenants = frozenset(tenant_of(path) or "" for path in about.paths)
-        until = clock.monotonic() + ttl
-        question = Question(
-            state, session.principal, about.seen, tenants, until, digest, clock.monotonic
-        )
+        question = Question(state, session.principal, about.seen, tenants, until, digest, clock)
         self.known[state.approval] = question
         self._host.loop.call_later(ttl + 0.01, self.changed)
         self.changed()

@@ -27,7 +27,6 @@ __all__ = ["Outbox", "stored"]
 log = structlog.get_logger("rcp.triggers")
 _FIRST, _LONGEST = 1.0, 60.0  # s between attempts
 _STORED = 1.0  # s to wait for the store: a broken one must not silence alarms
-_NS = 1_000_000_000
 Result = Literal["delivered", "refused", "expired", "dropped"]
 
 
@@ -71,14 +70,17 @@ class Outbox:
         self._senders: dict[str, Sender] = {}
         self.queues: dict[str, _Queue] = {}
         self._since: dict[str, float] = {}
-        """When each delivery was put in, by `Clock.monotonic`: the clock may be set before there is a network."""
+        """When this run came to know each delivery, by `Clock.monotonic`: the clock may be set at any moment."""
         self._number = 0
         self._open = False
 
     # -- life ----------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Take over what an earlier run has not delivered."""
+        """Take over what an earlier run has not delivered.
+
+        Its time starts again: the clock of the earlier run may have been in 1970.
+        """
         found: list[Delivery] = []
         for key, row in self._store.load().items():
             try:
@@ -86,11 +88,10 @@ class Outbox:
             except msgspec.ValidationError as error:
                 log.warning("delivery_unreadable", id=key, error=str(error))
                 self._store.put(key, None)
-        clock = self._host.clock
+        moment = self._host.clock.monotonic()
         for delivery in sorted(found, key=lambda one: one.number):
             self._number = delivery.number
-            age = max(0.0, (clock.now() - delivery.created) / _NS)
-            self._since[delivery.id] = clock.monotonic() - age
+            self._since[delivery.id] = moment
             self._queue(delivery.target).waiting.append(delivery)
 
     async def open(self, senders: Mapping[str, Sender]) -> None:

@@ -294,6 +294,17 @@ async def test_an_approval_expires_though_the_clock_is_set_back(stepped: Stepped
         assert world.robot.started.empty()
 
 
+async def test_an_approval_expires_while_the_computer_is_suspended(stepped: SteppedClock) -> None:
+    """Monotonic time stands still then."""
+    async with world_of(PEOPLE, clock=stepped.clock) as world:
+        agent, guard = world.client(AGENT), world.client(GUARD)
+        id_ = await asked(agent)
+        assert code(await decide(guard, id_)) == "completed"
+        stepped.adjust(8 * 3600)
+        assert code(await command(agent, approval=id_)) == "forbidden"
+        assert world.robot.started.empty()
+
+
 async def test_nobody_approves_with_another_credential_what_they_asked_for(tmp_path: Path) -> None:
     both = role("both", rule("*", "/**"), rule("*", "/system/**"), may_approve=True, approve=[GO])
     text = kept_in(

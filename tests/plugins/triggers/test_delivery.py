@@ -190,6 +190,26 @@ async def test_a_clock_that_is_set_forward_makes_none_too_old(stepped: SteppedCl
         await ops.count(1)
 
 
+async def test_one_of_1970_is_delivered_after_a_restart(
+    stepped: SteppedClock, tmp_path: Path
+) -> None:
+    """A robot without a battery for its clock, and without a network until after the restart."""
+    async with receiver(now=lambda: stepped.now() / 1e9) as ops:
+        options: dict[str, Any] = {"targets": {"ops": webhook(ops.url)}, "store": tmp_path / "s.db"}
+        back = -(stepped.now() // 10**9)
+        stepped.adjust(back)
+        await ops.down()
+        async with gateway(clock=stepped.clock, **options) as rig:
+            await rig.made(**FAULT)
+            await fire(rig, 1)
+            await rig.eventually(lambda: _failing(rig))
+        stepped.adjust(-back)
+        await ops.up()
+        async with gateway(clock=stepped.clock, **options):
+            (got,) = await ops.count(1)
+            assert got.body["type"] == "trigger.fired"
+
+
 async def test_a_full_queue_drops_the_oldest() -> None:
     async with receiver() as ops:
         ops.gate.clear()
