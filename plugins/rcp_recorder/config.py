@@ -39,7 +39,7 @@ class RecorderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     roll_seconds: Annotated[float, Meta(gt=0)] = 3600.0
     """A file of this age is followed by another one."""
     keep_mb: Annotated[float, Meta(gt=0)] = 10_240.0
-    """Space of all recordings; the oldest are deleted first, pinned ones never."""
+    """Space of all recordings, damaged ones too; the oldest are deleted first, pinned ones never."""
     free_mb: Annotated[float, Meta(ge=0)] = 256.0
     """Recording stops while less of the disk is free."""
     queue_mb: Annotated[float, Meta(gt=0)] = 32.0

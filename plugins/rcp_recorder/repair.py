@@ -2,15 +2,17 @@
 
 Nothing that was written is written again: whatever follows the last complete chunk is cut off, and the
 missing index is added. If that is interrupted, the next start does it again. A file with damage before its
-end, as after a power failure, is kept beside what could be read of it: more of it may be readable.
+end, as after a power failure, is kept beside what could be read of it: more of it may be readable. Until there
+is room for that, it keeps its name, and the next beginning tries again.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -40,6 +42,10 @@ _WRONG = (McapError, ValueError, EOFError, struct.error, ZstdError, OverflowErro
 """Errors of records with other content than was written; lengths may be any number."""
 _PIECE = 1 << 20  # bytes
 _LONGEST = 4 << 20  # bytes of the last record, which was not written to its end
+_FULL = frozenset((errno.ENOSPC, errno.EDQUOT))
+_ZSTD = b"\x28\xb5\x2f\xfd"
+"""How the data of a chunk begins."""
+_CHUNK_LENGTH = 36  # bytes of a chunk before the length of its data
 _DATA = frozenset((Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.METADATA))
 
 
@@ -85,8 +91,10 @@ class _Found(Summary):
             self.add(self._last._replace(indexes=places, indexes_length=length))
 
 
-def repair(path: Path) -> Path | None:
+def repair(path: Path, room: Callable[[int], bool] = lambda _: True) -> Path | None:
     """Complete a file and give it its final name; None: it has no message and is deleted, unless it is damaged.
+
+    `room` tells whether there is room for so many bytes of another file: a damaged one stays as it is until then.
 
     :raises OSError: it cannot be written.
     """
@@ -102,9 +110,29 @@ def repair(path: Path) -> Path | None:
             return path.rename(final)
         path.unlink()
         return None
+    return _set_aside(path, final, found, room)
+
+
+def _set_aside(path: Path, final: Path, found: _Found, room: Callable[[int], bool]) -> Path | None:
+    part = final.with_name(f"{final.name}.part")
+    part.unlink(missing_ok=True)  # of an attempt that was interrupted
+    copied = False
+    if found.messages:
+        if not room(found.data_end):
+            log.error("recording_not_recovered", file=path.name, error="no room for a copy")
+            return None
+        try:
+            _copy(path, part, found)
+        except OSError as error:
+            part.unlink(missing_ok=True)
+            log.error("recording_not_recovered", file=path.name, error=str(error))
+            if error.errno in _FULL:
+                return None
+        else:
+            part.rename(final)
+            copied = True
     aside = path.with_name(f"{path.name}{DAMAGED}")
     log.error("recording_damaged", file=path.name, read=found.data_end, aside=aside.name)
-    copied = bool(found.messages) and _copy(path, final, found)
     path.rename(aside)
     return final if copied else None
 
@@ -116,20 +144,12 @@ def _complete(file: Any, found: _Found) -> None:
     os.fsync(file.fileno())
 
 
-def _copy(path: Path, final: Path, found: _Found) -> bool:
-    """Write what could be read of a file into another one; return whether there was room for it."""
-    part = final.with_name(f"{final.name}.part")
-    try:
-        with path.open("rb") as source, part.open("wb") as target:
-            for start in range(0, found.data_end, _PIECE):
-                target.write(source.read(min(_PIECE, found.data_end - start)))
-            _complete(target, found)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        log.error("recording_not_recovered", file=path.name, error=str(error))
-        return False
-    part.rename(final)
-    return True
+def _copy(path: Path, target: Path, found: _Found) -> None:
+    """Write what could be read of a file into another one."""
+    with path.open("rb") as source, target.open("wb") as file:
+        for start in range(0, found.data_end, _PIECE):
+            file.write(source.read(min(_PIECE, found.data_end - start)))
+        _complete(file, found)
 
 
 def _search(file: Any) -> _Found:
@@ -156,12 +176,24 @@ def _parts(file: Any, found: _Found) -> Iterator[_Part]:
             found.rest = size if opcode == Opcode.DATA_END else offset
             return
         if offset + _HEAD.size + length > size:  # not written to its end, or its length is wrong
-            found.rest = size if size - offset < _LONGEST else offset
+            torn = size - offset < _LONGEST and _is_torn(opcode, length, file.read())
+            found.rest = size if torn else offset
             return
         found.rest = offset + _HEAD.size + length
         yield _Part(opcode, offset, _HEAD.size + length)
         offset += _HEAD.size + length
     found.rest = size
+
+
+def _is_torn(opcode: int, length: int, rest: bytes) -> bool:
+    """Return whether a record whose length leads beyond the file was not written to its end.
+
+    Otherwise the length is wrong, and there may be chunks in the rest.
+    """
+    if opcode == Opcode.CHUNK:
+        whole, at = _CHUNK_LENGTH + 8, _CHUNK_LENGTH
+        return len(rest) < whole or length == whole + int.from_bytes(rest[at:whole], "little")
+    return _ZSTD not in rest
 
 
 def _has_data(file: Any, start: int) -> bool:

@@ -16,7 +16,7 @@ def state(recorder: Recorder) -> StatusPart:
     So it is while there are damaged files: somebody has to look after them.
     """
     writer, counts = recorder.writer, recorder.counts
-    kept = writer.catalogue.files.values()
+    kept, damaged = writer.catalogue.files.values(), writer.catalogue.damaged.values()
     facts: dict[str, Any] = {
         "state": "stopped" if writer.trouble else "recording" if writer.open else "ready",
         "detail": writer.trouble,
@@ -29,11 +29,13 @@ def state(recorder: Recorder) -> StatusPart:
         "invalid": counts.invalid or None,
         "notices_dropped": counts.notices or None,
         "recovered": writer.catalogue.repaired or None,
-        "damaged": writer.catalogue.damaged or None,
+        "damaged": len(damaged) or None,
+        "damaged_bytes": sum(file.bytes for file in damaged) or None,
+        "damaged_deleted": writer.catalogue.damaged_deleted or None,
         "deleted": writer.catalogue.deleted or None,
         "clock_set_back": writer.set_back or None,
         "clock_set_back_at": writer.set_back_at,
     }
     told = {key: value for key, value in facts.items() if value is not None}
-    lost = writer.dropped > 0 or writer.catalogue.damaged > 0
+    lost = writer.dropped > 0 or len(damaged) > 0
     return StatusPart({"recorder": told}, degraded=writer.trouble is not None or lost)

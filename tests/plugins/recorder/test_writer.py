@@ -14,6 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from mcap.opcode import Opcode
+from mcap.writer import MCAP0_MAGIC
 
 from plugins.recorder.files import lines, message, stream
 from rcp_recorder import writer as writer_module
@@ -158,7 +160,7 @@ def test_a_file_with_damage_before_its_end_is_kept_beside_what_is_read(
     whole.write_bytes(data)
     with writing(whole.parent) as writer:
         until(lambda: writer._ready, "it is open")  # noqa: SLF001 - there is nothing else to see
-        assert writer.catalogue.damaged == 1
+        assert len(writer.catalogue.damaged) == 1
     assert Path(f"{whole}{DAMAGED}").read_bytes() == data
     assert [len(lines(file)) for file in complete(whole.parent)] == ([] if place < 0.1 else [10])
 
@@ -179,6 +181,124 @@ def test_a_file_whose_last_blocks_were_not_written_is_not_damaged(whole: Path) -
     assert done is not None
     assert len(lines(done)) == 30
     assert not Path(f"{whole}{DAMAGED}").exists()
+
+
+def test_a_record_that_was_not_written_to_its_end_is_not_damage(whole: Path) -> None:
+    data = whole.read_bytes()
+    for cut in range(0, len(data), 3):
+        whole.write_bytes(data[:cut])
+        done = repair(whole)
+        assert not Path(f"{whole}{DAMAGED}").exists(), cut
+        if done is not None:
+            done.unlink()
+
+
+@pytest.mark.parametrize("wrong", [1 << 60, 1 << 20])
+@pytest.mark.parametrize("chunk", [0, 1, 2])
+def test_a_wrong_length_near_the_end_is_damage(whole: Path, chunk: int, wrong: int) -> None:
+    data = bytearray(whole.read_bytes())
+    at = chunks(bytes(data))[chunk]
+    data[at + 1 : at + 9] = wrong.to_bytes(8, "little")
+    whole.write_bytes(data)
+    done = repair(whole)
+    assert (0 if done is None else len(lines(done))) == 10 * chunk
+    assert Path(f"{whole}{DAMAGED}").read_bytes() == data
+
+
+def chunks(data: bytes) -> list[int]:
+    """Find where chunks begin."""
+    found: list[int] = []
+    at = len(MCAP0_MAGIC)
+    while at < len(data):
+        if data[at] == Opcode.CHUNK:
+            found.append(at)
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    return found
+
+
+@pytest.fixture
+def damaged(whole: Path) -> Path:
+    """A file of three chunks, of which the second is damaged."""
+    data = bytearray(whole.read_bytes())
+    at = chunks(bytes(data))[1]
+    data[at + 60] ^= 0xFF
+    whole.write_bytes(data)
+    return whole
+
+
+class Disk:
+    """How much of the disk is free, as a test says."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.free = 0
+        monkeypatch.setattr("rcp_recorder.catalogue.shutil.disk_usage", lambda _: self)
+
+
+def test_a_damaged_file_waits_for_room_for_what_can_be_read_of_it(
+    damaged: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    disk.free = 1_000_100  # no room for the copy, but for recording
+    catalogue = Catalogue(damaged.parent, keep=1e6, free=1e6)
+    for _ in range(2):
+        catalogue.open()
+        catalogue.make_room(0)
+        assert list(catalogue.damaged) == [damaged.name]
+        assert [path.name for path in damaged.parent.iterdir()] == [damaged.name]
+    disk.free = 1_010_000
+    catalogue.open()
+    assert list(catalogue.damaged) == [f"{damaged.name}{DAMAGED}"]
+    assert [len(lines(file)) for file in complete(damaged.parent)] == [10]
+
+
+def test_a_damaged_file_for_which_the_disk_has_no_room_is_tried_again(
+    damaged: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    catalogue = Catalogue(damaged.parent, keep=1e6, free=0)
+    with monkeypatch.context() as during:
+        during.setattr("rcp_recorder.repair._complete", full)
+        catalogue.open()
+    assert [path.name for path in damaged.parent.iterdir()] == [damaged.name]
+    catalogue.open()
+    assert [len(lines(file)) for file in complete(damaged.parent)] == [10]
+
+
+@pytest.mark.parametrize("pinned", [False, True])
+def test_the_oldest_recordings_make_room_for_what_can_be_read_of_a_damaged_one(
+    damaged: Path, tmp_path: Path, *, pinned: bool
+) -> None:
+    filled(tmp_path / "other", "old")
+    (old,) = complete(tmp_path / "other")
+    old = old.rename(tmp_path / old.name)
+    if pinned:
+        old.with_name(f"{old.name}.pin").touch()
+    catalogue = Catalogue(tmp_path, keep=old.stat().st_size + 100, free=0)
+    catalogue.open()
+    assert old.exists() == pinned
+    assert damaged.exists() == pinned
+    catalogue.make_room(0)
+    assert not damaged.exists()
+    assert (catalogue.damaged_deleted, len(complete(tmp_path))) == ((1, 1) if pinned else (0, 1))
+
+
+def test_damaged_files_are_deleted_by_their_age_as_others_are(tmp_path: Path) -> None:
+    for age, name in enumerate(("always.a", "incident.a", "always.b", "always.c")):
+        file = tmp_path / f"{name}.mcap{ACTIVE}{DAMAGED}"
+        file.write_bytes(bytes(1000))
+        os.utime(file, ns=(age, age))
+    catalogue = Catalogue(tmp_path, keep=2500, free=0)
+    catalogue.open()
+    assert len(catalogue.damaged) == 4
+    catalogue.make_room(0)
+    assert catalogue.damaged_deleted == 2
+    assert {path.name[:10] for path in tmp_path.iterdir()} == {"incident.a", "always.c.m"}
+    for file in tmp_path.iterdir():
+        file.unlink()  # somebody has moved them away
+    catalogue.make_room(0)
+    assert not catalogue.damaged
 
 
 def test_files_roll_by_size_and_each_is_complete(tmp_path: Path) -> None:
