@@ -292,7 +292,8 @@ class _Check:
         self._admit(entry, value, complete=complete)
         if self._approvals.wanted(self._session, entry, value):
             self._checked.ask(node, entry.path)
-            node.place = place_in(self._host, self._session, entry.tenant or "", step.value)
+            if isinstance(step, Execute):
+                node.place = place_in(self._host, self._session, entry, step.value)
         if isinstance(step, Execute):
             gained = self._control.gains(self._session, entry, step.value)
             self._gained += [] if gained is None else [gained]

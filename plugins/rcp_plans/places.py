@@ -7,9 +7,12 @@ from typing import Any
 
 from rcp_kernel.errors import PreconditionFailed
 from rcp_kernel.features import ActionHost, ServiceKey
+from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.session import Session
+from rcp_kernel.tree.entry import Entry
 from rcp_plans.node import Node
 from rcp_protocol.plain import is_map
+from rcp_streams.frames import FRAMES
 
 __all__ = ["PLACES", "check_place", "place_in"]
 
@@ -17,11 +20,18 @@ PLACES: ServiceKey[Callable[[Session, str, str], dict[str, Any]]] = ServiceKey("
 """Service of the feature that has the places."""
 
 
-def place_in(host: ActionHost, session: Session, tenant: str, value: Any) -> dict[str, Any] | None:
-    """Return where the place is that a goal names; None: it names none.
+def place_in(host: ActionHost, session: Session, entry: Entry, value: Any) -> dict[str, Any] | None:
+    """Return where the place is that a goal names; None: it names none, or is no goal in a frame.
 
     :raises InvalidValue: there is no such place.
     """
+    frames = host.service(FRAMES)
+    if frames is None or entry.tenant is None or not frames.takes(entry):
+        return None
+    return _find(host, session, entry.tenant, value)
+
+
+def _find(host: ActionHost, session: Session, tenant: str, value: Any) -> dict[str, Any] | None:
     find, name = host.service(PLACES), _name(value)
     return None if find is None or name is None else find(session, tenant, name)
 
@@ -31,7 +41,8 @@ def check_place(host: ActionHost, session: Session, node: Node, value: Any) -> N
 
     :raises PreconditionFailed: it was.
     """
-    if node.place is not None and place_in(host, session, node.tenant or "", value) != node.place:
+    tenant = tenant_of(node.path or "") or ""
+    if node.place is not None and _find(host, session, tenant, value) != node.place:
         raise PreconditionFailed(
             f"the place '{_name(value)}' is not where it was when the plan was approved",
             path=node.path,

@@ -8,13 +8,15 @@ from contextlib import asynccontextmanager
 from functools import partial
 from typing import Any
 
+import msgspec
 import pytest
 
 from configuration import key, role, rule
 from plugins.places.test_places import CONFIG, MOVE, edit, served
-from rcp_gateway.testing import MemoryClient, ScriptedRobot
+from rcp_gateway.testing import MemoryClient, ScriptedRobot, scripted, serve
 from rcp_gateway.testing._serve import Served
-from rcp_kernel.spi import Progress
+from rcp_kernel.model import Resource
+from rcp_kernel.spi import Host, Progress
 
 pytestmark = pytest.mark.anyio
 ASKER, GUARD = "asker-asker-asker", "guard-guard-guard"
@@ -50,6 +52,28 @@ async def approved(asker: MemoryClient, guard: MemoryClient, reply: dict[str, An
 
 def robots(site: Served) -> list[ScriptedRobot]:
     return [one.backend for one in site.lives if isinstance(one.backend, ScriptedRobot)]
+
+
+class Shelf(msgspec.Struct):
+    """Where something lies: no place of a map."""
+
+    place: str
+
+
+class Parcel(msgspec.Struct):
+    """A value of the robot's own that looks like a goal at a place."""
+
+    position: Shelf
+
+
+def carrier(host: Host) -> ScriptedRobot:
+    """A robot with resources that have places of their own."""
+    fetch = Resource(name="action/fetch", description="Fetches.", input=Parcel)
+    parcel = Resource(name="param/parcel", description="What it carries.", value=Parcel)
+    robot = ScriptedRobot(host, fetch, parcel)
+    robot.behaviours["action/fetch"] = partial(arrive, robot)
+    robot.release.set()
+    return robot
 
 
 @asynccontextmanager
@@ -109,3 +133,15 @@ async def test_a_place_that_is_moved_while_its_plan_runs_is_not_gone_to() -> Non
         ended = await asker.final(sent)
         assert ended["error"]["code"] == "precondition_failed"
         assert "'dock'" in ended["message"]
+
+
+@pytest.mark.parametrize(("do", "name"), [("execute", "action/fetch"), ("write", "param/parcel")])
+async def test_a_place_of_a_robots_own_is_none_of_the_gateway(do: str, name: str) -> None:
+    text = TEXT.replace("/action/move_to", f"/{name}")
+    async with serve(text, scripted(carrier, "rover")) as site:
+        asker, guard = site.client(ASKER), site.client(GUARD)
+        value = {"position": {"place": "B7"}}
+        step = {"do": do, "path": f"/tenant/alpha/{name}", "value": value}
+        id_ = await approved(asker, guard, await plan(asker, step))
+        done = await plan(asker, step, approval=id_)
+        assert done["status"] == "completed", done
