@@ -279,12 +279,28 @@ class Axis(AxisState):
 
     def stop(self) -> None:
         """Start a quick stop: brake hard, repeatedly, until the drive reports rest."""
+        self._begin_stop()
+        self._brake()
+        self.show()
+
+    def _begin_stop(self) -> None:
         self.mode = None
         self.stopping, self._braked_at = True, time.monotonic()
         if self.stop_began is None:
             self.stop_began = time.monotonic()
-        self._brake()
-        self.show()
+
+    def stop_broken(self) -> bool:
+        """Stop a motor whose profile fails, as far as that goes; return whether the drive was told.
+
+        Called at each failed tick: one that brakes already is only told again, or it would never
+        count as at rest.
+        """
+        if not self.stopping:
+            self._begin_stop()
+        try:
+            return self._brake()
+        except Exception:
+            return False
 
     def hold_stop(self) -> None:
         """Repeat the stop if the motor is not at rest, or if another master has enabled it."""
@@ -295,12 +311,14 @@ class Axis(AxisState):
         elif not self.stopping and (not self.resting or self.drive.loose):
             self.stop()
 
-    def _brake(self) -> None:
+    def _brake(self) -> bool:
+        """Tell the drive to stop; return whether it was told, as far as a queue of frames does."""
         if not self.released:
             with unfenced():
-                self._send(self.drive.stop)
-        elif self.status.energised is not False:
+                return self._send(self.drive.stop)
+        if self.status.energised is not False:
             self._release()
+        return True
 
     def _release(self) -> None:
         """Cut the torque after a stop, repeatedly, until the drive reports that it is off."""
@@ -402,6 +420,7 @@ class Axis(AxisState):
         was, self.blind = self.blind, why
         if was is None and why is not None:
             self.wanted_on = False
+            self.drive.lose()
             self.fault(why.fault, why.text)
             self._health.report(self.name, f"motor '{self.name}': {why.text}")
             self.forget(DeviceTimeout(f"motor '{self.name}': feedback lost: {why.text}"))
@@ -421,15 +440,18 @@ class Axis(AxisState):
             self.drive.torque_offset = torque_offset(self)
             self._send(lambda: self.drive.command(*due))
 
-    def _send(self, function: Callable[[], object]) -> None:
+    def _send(self, function: Callable[[], object]) -> bool:
         try:
             function()
         except RcpError as error:  # the bus state reports it; the next tick tries again
             log.debug("not_sent", motor=self.name, error=error.message)
+            return False
+        return True
 
     def _lose(self, why: Loss) -> None:
         self.online, self._lost_once, self.blind = False, True, None
         self.wanted_on = False
+        self.drive.lose()
         was_on = self.status.energised is not False or self.mode is not None
         self.status.enabled = self.status.holding = None
         self.fault(why.fault, why.text)

@@ -12,6 +12,7 @@ from rcp_can.binding import Part
 from rcp_can.bus import Bus, Route
 from rcp_can.config_device import DeviceConfig
 from rcp_can.device_types import message_type
+from rcp_can.drive import KEPT
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, InvalidValue, RcpError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, check_fence
@@ -132,17 +133,21 @@ class DevicePart(Part):
         raise AdapterUnavailable(f"no {name} received yet")
 
     async def write(self, name: str, value: Any) -> None:
-        """Send a message; one that waits is not sent after its safe value, nor when it is no longer valid."""
+        """Send a message; one that waits is not sent after its safe value, nor when it is no longer valid.
+
+        Without a safe value, that is when whoever sent it has been told otherwise.
+        """
         message = self._actuators[name]
         data = self._encode(message, value)
         check_fence()
         safe = self._safe_data(message)
+        lifetime = KEPT if safe is None else None if data == safe else self._config.valid_for
         self._bus.send(
             message.frame_id,
             data,
             extended=message.is_extended_frame,
             fd=message.is_fd,
-            lifetime=None if safe is None or data == safe else self._config.valid_for,
+            lifetime=lifetime,
             sender=(self, message.frame_id),
         )
 

@@ -202,6 +202,9 @@ class Drive(ABC):
         Must not move the drive.
         """
 
+    def lose(self) -> None:  # noqa: B027 - most drives compare nothing
+        """Forget what the next report would be compared with: none came for too long."""
+
     @abstractmethod
     async def enable(self) -> None:
         """Switch the power stage on, at rest; return when the drive reports it."""

@@ -147,7 +147,8 @@ async def _run(axes: list[Axis], beat: Callable[[], Awaitable[None]]) -> None:
         if now - shown >= _HEALTH:
             shown = now
             for axis in axes:
-                axis.show_health()
+                with suppress(Exception):  # what it has of its profile failed, which `_tick` tells
+                    axis.show_health()
 
 
 def _tick(axis: Axis, dt: float) -> None:
@@ -155,13 +156,15 @@ def _tick(axis: Axis, dt: float) -> None:
     try:
         axis.tick(dt)
     except Exception as error:
+        told = axis.stop_broken()  # whatever else of it fails
         text = f"its profile failed: {error!r}"
-        if axis.faults.get(_BROKEN) is None:
-            log.exception("profile_failed", motor=axis.name)
-            axis.fault(_BROKEN, text)
         with suppress(Exception):
-            axis.forget(DeviceTimeout(f"motor '{axis.name}': {text}, and it was stopped"))
-            axis.stop()
+            if axis.faults.get(_BROKEN) is None:
+                log.exception("profile_failed", motor=axis.name)
+                axis.fault(_BROKEN, text)
+        how = "it was stopped" if told else "it could not be told to stop"
+        with suppress(Exception):
+            axis.forget(DeviceTimeout(f"motor '{axis.name}': {text}, and {how}"))
 
 
 async def wait_for_motors(axes: Iterable[Axis], grace: float, health: Health) -> None:

@@ -17,6 +17,7 @@ __all__ = ["ABORTS", "Sdo", "SdoAborted"]
 
 _TIMEOUT = 0.5  # s for one response
 _MOST_OWED = 8
+_OWES = 5.0  # s within which a busy node answers what was given up
 _LONGEST = 65_536  # bytes: the longest value accepted
 _TIMED_OUT = 0x05040000
 _UPLOADED, _DOWNLOADED, _SEGMENT_UP, _SEGMENT_DOWN, _ABORTED = 0x40, 0x60, 0x00, 0x20, 0x80
@@ -81,6 +82,8 @@ class Sdo:
         """The previous response, and when it arrived."""
         self._owed = 0
         """Responses to requests that were given up: a busy node answers them later, one by one."""
+        self._owed_at = 0.0
+        """When the last of them was given up."""
 
     @property
     def route(self) -> Route:
@@ -102,9 +105,10 @@ class Sdo:
         data, now = bytes(message.data), time.monotonic()
         again = data[:4] == self._last[0][:4] and now - self._last[1] < _TIMEOUT
         if again and data[1:4] != self._expected:
-            if self._owed:
+            if self._owed and now - self._owed_at < _OWES:
                 self._owed -= 1
             else:
+                self._owed = 0
                 self.unasked += 1
         elif self._answer is not None and not self._answer.done():
             if not self._matches(data):  # late, of another node with this id, or to another master
@@ -191,7 +195,9 @@ class Sdo:
             async with asyncio.timeout(seconds):  # `wait_for` may swallow a cancellation
                 answer = await self._answer
         except TimeoutError:
-            self._owed = min(self._owed + 1, _MOST_OWED)
+            now = time.monotonic()
+            owed = self._owed if now - self._owed_at < _OWES else 0
+            self._owed, self._owed_at = min(owed + 1, _MOST_OWED), now
             if self._bus.up:
                 self._bus.send(
                     0x600 + self._node, struct.pack("<BHBI", 0x80, index, sub, _TIMED_OUT)

@@ -188,8 +188,8 @@ class Wire:
                     continue
                 self._sending = True
                 try:
-                    for message in waiting.messages:
-                        if not self._accepted(message, waiting):
+                    for place, message in enumerate(waiting.messages):
+                        if not self._accepted(message, waiting if place == 0 else None):
                             break
                         self.tx, failures = self.tx + 1, 0
                         self._moving = time.monotonic()
@@ -215,9 +215,10 @@ class Wire:
         self.expired += late and not replaced
         return late or replaced
 
-    def _accepted(self, message: can.Message, waiting: _Waiting) -> bool:
+    def _accepted(self, message: can.Message, waiting: _Waiting | None) -> bool:
         """Have the interface accept a frame; return whether it was still worth sending.
 
+        The first of several is looked at: a part of what belongs together is worth nothing.
         SocketCAN's queue holds ten frames by default, and does not let a sender wait for room.
         """
         self._note(message)
@@ -232,7 +233,7 @@ class Wire:
             else:
                 return True
             time.sleep(_FULL)
-            if self._is_outdated(waiting):
+            if waiting is not None and self._is_outdated(waiting):
                 return False
 
     def _note(self, message: can.Message) -> None:

@@ -354,6 +354,10 @@ class VescDrive(Drive):
         self.status.voltage = voltage
         self.status.moved += 1
 
+    def lose(self) -> None:
+        """Forget its count: how far it has turned since then is not known."""
+        self._tachometer = None
+
     def _look_for_a_boot(self, tachometer: int) -> None:
         """Detect a reboot by its counter, which begins at 0: set-points would turn it again at once."""
         status, before = self.status, self._tachometer

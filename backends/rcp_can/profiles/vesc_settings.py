@@ -70,6 +70,9 @@ class PacketDrive(Protocol):
         """Return the answer to a command; `node` is another id that may answer."""
         ...
 
+    def lose(self) -> None:
+        """Forget its count, with which the next one would be compared."""
+
 
 class VescSettings(Settings):
     """The limits of one drive, which are read and written together."""
@@ -123,7 +126,10 @@ class VescSettings(Settings):
         head = bytes(
             (SET_LIMITS, store, False, True, False)
         )  # to no other; confirm; divide by none
-        await self._drive.ask(head + limits, seconds=_STORES, once=True)
+        try:
+            await self._drive.ask(head + limits, seconds=_STORES, once=True)
+        finally:
+            self._drive.lose()  # it may count anew
 
 
 async def read_version(drive: PacketDrive) -> Identity:

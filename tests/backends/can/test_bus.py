@@ -285,6 +285,29 @@ async def test_a_stop_of_several_frames_is_sent_in_order_and_replaces_the_one_be
     assert bus.sent == [0, 20, 21, 9]  # the first may have set-points of others
 
 
+class Narrow(StuckBus):
+    """An interface with room for one frame, until somebody makes more."""
+
+    def send(self, message: can.Message, timeout: float) -> None:
+        if self.sent and not self.gate.is_set():
+            self._loop.call_soon_threadsafe(self.held.set)
+            raise can.CanOperationError("no room", errno.ENOBUFS)
+        self.sent.append(message.arbitration_id)
+
+
+async def test_frames_that_belong_together_are_not_broken_off_by_a_stop() -> None:
+    bus: Any = Narrow()
+    wire = Wire(bus, name="x", queue=9, echoes=False, received=lambda _: None, lost=lambda _: None)
+    frames = [can.Message(arbitration_id=number) for number in (1, 2, 3)]
+    wire.send_together(frames, lifetime=60.0, urgent=False, sender="a")
+    with anyio.fail_after(20):
+        await bus.held.wait()
+    wire.send(can.Message(arbitration_id=9), lifetime=None, urgent=True, sender="a")
+    bus.gate.set()
+    await wire.close()
+    assert bus.sent == [1, 2, 3, 9]
+
+
 class Socket(StuckBus):
     """A SocketCAN interface at 1 Mbit/s with its usual queue: when that is full, sending fails at once."""
 

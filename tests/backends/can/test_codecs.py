@@ -338,6 +338,25 @@ async def test_a_busy_node_that_answers_a_request_later_is_not_two_nodes(
     assert sdo.unasked == 1
 
 
+async def test_what_a_node_owes_for_long_is_not_expected_any_more(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rcp_can.sdo._TIMEOUT", 0.02)
+    bus: Any = NoBus()
+    sdo = Sdo(bus, 5)
+    with pytest.raises(DeviceTimeout):
+        await sdo.upload(0x605A)
+    monkeypatch.setattr("rcp_can.sdo._TIMEOUT", 0.5)
+    monkeypatch.setattr("rcp_can.sdo._OWES", 0.0)
+    answer = can.Message(arbitration_id=0x585, data=VALUE, is_extended_id=False)
+    asking = asyncio.ensure_future(sdo.upload(0x605A))
+    await asyncio.sleep(0)
+    sdo.take(answer)
+    await asking
+    sdo.take(answer)  # of a second node
+    assert sdo.unasked == 1
+
+
 async def test_an_abort_of_the_pending_request_ends_it() -> None:
     bus: Any = NoBus()
     sdo = Sdo(bus, 5)

@@ -14,9 +14,10 @@ import can
 import pytest
 
 from backends.can.rig import MOTORS, Node, motor
+from rcp_can import views
 from rcp_can.profiles.vesc import VescDrive, VescOptions
 from rcp_can.sim import make_twin
-from rcp_kernel.errors import AdapterUnavailable, ModeForbids, QueueFull
+from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, ModeForbids, QueueFull
 
 
 async def test_bus_off_in_motion_ends_the_move_and_nothing_moves_when_the_bus_is_back() -> None:
@@ -200,6 +201,68 @@ async def test_an_error_in_a_profile_stops_its_motor_and_no_other(
         assert rig.backend.axes["n"].is_fresh("velocity")
 
 
+@pytest.mark.parametrize("also", ["state", "health"])
+async def test_a_motor_is_stopped_whatever_else_of_its_profile_fails(
+    also: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    second = make_twin("vesc", 8)
+    table = {"bus": "can0", "profile": "vesc", "node": 8}
+    monkeypatch.setattr("rcp_can.motor_group._HEALTH", 0.02)
+    async with motor("odrive", twins=(second,), motors={"n": table}) as rig:
+        await rig.enable()
+        await rig.ran("service/n/enable")
+        for name in "mn":
+            await rig.write(f"actuator/{name}/velocity", 2.0)
+        await rig.until(lambda: min(rig.twin.plant.velocity, second.plant.velocity) > 1.0)
+        real = getattr(views, also)
+
+        def view(axis: Any) -> Any:
+            if axis is rig.axis:
+                raise KeyError("a fault of the profile")
+            return real(axis)
+
+        def fail(*_: object, **__: object) -> None:
+            raise KeyError("a fault of the profile")
+
+        monkeypatch.setattr(views, also, view)
+        monkeypatch.setattr(rig.axis.drive, "command", fail)
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+        assert second.plant.velocity > 1.0
+        polls = list[int]()
+        monkeypatch.setattr(rig.backend.axes["n"].drive, "poll", polls.append)
+        await rig.until(lambda: len(polls) > 5)
+
+
+async def test_a_motor_whose_questions_fail_comes_to_rest() -> None:
+    async with motor("vesc") as rig:
+        await rig.enable()
+        await rig.write("actuator/m/velocity", 2.0)
+        await rig.until(lambda: rig.twin.plant.velocity > 1.0)
+
+        def fail(*_: object) -> None:
+            raise KeyError("a fault of the profile")
+
+        rests, real = list[None](), rig.axis.rest
+        rig.axis.rest = lambda: rests.append(real())
+        rig.axis.drive.poll = fail
+        await rig.host.until(lambda: "profile_failed" in rig.faults())
+        await rig.until(lambda: bool(rests))  # the stop has ended, as it was seen to rest
+
+
+async def test_a_motor_that_cannot_be_told_to_stop_is_not_said_to_be_stopped() -> None:
+    async with motor("odrive") as rig:
+        await rig.enable()
+        moving = asyncio.ensure_future(rig.execute("action/m/move_to", {"position": 9.0}))
+        await rig.until(lambda: rig.twin.plant.velocity > 0.2)
+
+        def fail(*_: object, **__: object) -> None:
+            raise KeyError("a fault of the profile")
+
+        rig.axis.drive.stop = rig.axis.drive.poll = fail
+        with pytest.raises(DeviceTimeout, match="could not be told to stop"):
+            await asyncio.wait_for(moving, 20)
+
+
 async def test_another_master_that_guards_a_drive_is_no_loss_of_its_configuration() -> None:
     async with motor("cia402") as rig:
         await rig.enable()
@@ -303,3 +366,18 @@ def test_a_counter_of_a_vesc_that_wraps_or_turns_back_is_no_reboot(before: int, 
         drive.status.velocity = 0.1 if abs(after - before) < 42 else 120.0
         drive.take(can.Message(arbitration_id=27 << 8 | 7, data=data))
     assert drive.status.resets == 0
+
+
+async def test_a_vesc_that_was_turned_while_nothing_was_heard_of_it_has_not_rebooted() -> None:
+    async with motor("vesc", timeout=0.3, feedback_timeout=0.3) as rig:
+        rig.twin.silent = True
+        await rig.host.until(lambda: "feedback_lost" in rig.faults())
+        rig.twin.plant.position += 50.0  # by hand
+        rig.twin.silent = False
+        await rig.host.until(lambda: "feedback_lost" in rig.faults(active=False))
+        await rig.until(lambda: rig.axis.position is not None and rig.axis.position > 40.0)
+        assert rig.axis.status.resets == 0
+        rig.axis.drive.lose()  # as when its settings were written
+        rig.twin.plant.position -= 50.0
+        await rig.until(lambda: rig.axis.position is not None and rig.axis.position < 40.0)
+        assert rig.axis.status.resets == 0

@@ -68,6 +68,24 @@ async def test_an_enable_that_waits_does_not_follow_a_stop(profile: str) -> None
             assert not rig.twin.enabled, [m.data.hex() for m in sent]
 
 
+async def test_what_a_device_was_to_do_is_not_done_long_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "lift.dbc"
+    path.write_text(DBC)
+    device = {"bus": "can0", "dbc": str(path), "write": ["Lamp"]}
+    monkeypatch.setattr("rcp_can.device.KEPT", 0.02)
+    async with motor("odrive", config={"devices": {"lift": device}}) as rig:
+
+        async def begin() -> None:
+            for on in (0, 1, 0, 1, 0, 1):
+                await rig.write("actuator/lift/Lamp", {"on": on})
+            await asyncio.sleep(20)
+
+        async with stopped_in_a_jam(rig, begin) as sent:
+            assert 514 not in [m.arbitration_id for m in sent]
+
+
 async def test_what_a_device_was_to_do_does_not_follow_its_safe_value(tmp_path: Path) -> None:
     path = tmp_path / "lift.dbc"
     path.write_text(DBC)
