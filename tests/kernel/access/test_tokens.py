@@ -10,6 +10,7 @@ import pytest
 
 from configuration import key
 from kernel.world import CONFIG, world_of
+from rcp_kernel.clock import now
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import RateLimited, TokenExpired, Unauthenticated
 from rcp_store.tokens import PREFIX, TokenFile
@@ -152,3 +153,17 @@ def test_the_number_of_changes_grows_though_old_keys_are_deleted(store: Path) ->
         table.create("new", grants, None)
         assert [one.name for one in table.every()] == ["stays", "new"]
         assert table.version() > seen
+
+
+def test_a_clock_that_is_ahead_deletes_no_valid_keys(
+    store: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grants, moment = (("*", ("viewer",)),), now()
+    with closing(TokenFile(store)) as table:
+        table.create("valid", grants, moment + 3_600 * 10**9)
+        monkeypatch.setattr("rcp_store.tokens.now", lambda: moment + 3_650 * 86_400 * 10**9)
+        table.create("new", grants, None)
+        assert [(one.name, one.state(moment)) for one in table.every()] == [
+            ("valid", "good"),
+            ("new", "good"),
+        ]
