@@ -32,7 +32,7 @@ __all__ = ["Kernel"]
 
 
 class Kernel(Core):
-    """A gateway without backends that does not serve yet, for the application and tests.
+    """A gateway without backends that does not serve yet, for `Server` and tests.
 
     No part of it holds it, except `Handlers`: each receives what it uses.
     """

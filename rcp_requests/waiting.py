@@ -17,13 +17,14 @@ _ASKING = 16  # other principals that may request a cancel while it waits
 
 
 class WaitingCommand:
-    """One from its request until it is refused or runs."""
+    """A gateway action from its request until it is refused or runs."""
 
     def __init__(self, session: Session, since: float | None) -> None:
         self.session = session
         self.id = command_id()
-        """Of the command that it becomes."""
+        """Id of the command that it becomes."""
         self.since = time.monotonic() if since is None else since
+        """When it arrived, compared with `StopGroup.stopped`."""
         self.cancelled = False
         """Whether its own principal has requested a cancel."""
         self.asking: dict[object, Session] = {}

@@ -257,7 +257,7 @@ class Sights:
         return known
 
     def _changes_in(self, rights: Rights) -> list[tuple[str | None, _Changes]]:
-        """List the parts of the tree of which a principal may see something."""
+        """List the parts of the tree that are visible to a principal."""
         held = (None, *rights.tenants)
         return [(t, c) for t, c in self._changes.items() if "*" in held or t in held]
 

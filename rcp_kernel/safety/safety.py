@@ -96,7 +96,7 @@ def check_age(entry: Entry, timestamp: str | float) -> None:
 
 
 class Deadman:
-    """Writes the safe value when an actuator's last command lapses, until the device accepts it."""
+    """Writes the safe value when an actuator's last command expires, until the device accepts it."""
 
     def __init__(
         self,
