@@ -227,14 +227,13 @@ async def test_a_motor_is_stopped_whatever_else_of_its_profile_fails(
         monkeypatch.setattr(views, also, view)
         monkeypatch.setattr(rig.axis.drive, "command", fail)
         await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
-        assert second.plant.velocity > 1.0
         polls = list[int]()
         monkeypatch.setattr(rig.backend.axes["n"].drive, "poll", polls.append)
         await rig.until(lambda: len(polls) > 5)
 
 
 async def test_a_motor_whose_questions_fail_comes_to_rest() -> None:
-    async with motor("vesc") as rig:
+    async with motor("vesc", rate=200.0) as rig:
         await rig.enable()
         await rig.write("actuator/m/velocity", 2.0)
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
