@@ -42,7 +42,17 @@ Outcome = Command | asyncio.Future[Reply]
 class _Seen:
     """A key with its request and the outcome."""
 
-    __slots__ = ("command", "created", "digest", "outcome", "path", "reply", "since", "type")
+    __slots__ = (
+        "command",
+        "created",
+        "digest",
+        "number",
+        "outcome",
+        "path",
+        "reply",
+        "since",
+        "type",
+    )
 
     def __init__(
         self, digest: bytes, created: int, type_: str, path: str, since: float = 0.0
@@ -51,6 +61,8 @@ class _Seen:
         self.created = created
         self.since = since
         """When this run came to know it, by `Clock.monotonic`: wall time may be set at any moment."""
+        self.number = 0
+        """Its place in the order of all keys: wall time may have gone back in between."""
         self.type = type_
         self.path = path
         self.command: str | None = None
@@ -74,6 +86,7 @@ class Keys:
         self._loop = loop
         self._known: OrderedDict[str, _Seen] = OrderedDict()
         self._bytes = 0
+        self._number = 0
 
     def find(self, session: Session, request: Request, path: str) -> Outcome | None:
         """Return the pending or final outcome of the request's key, or None.
@@ -103,6 +116,7 @@ class Keys:
             self._drop(name)
         seen = _Seen(_digest(request, path), self._now(), request.type, path, self._monotonic())
         seen.outcome = outcome
+        self._number = seen.number = self._number + 1
         if isinstance(outcome, Command):
             seen.command = outcome.id
         self._known[name] = seen
@@ -150,8 +164,12 @@ class Keys:
         """Load the keys of earlier runs; `command` finds a command of the history."""
         rows = self._store.load(_TABLE, unreadable={})
         found, since = [(name, _read(row)) for name, row in rows.items()], self._monotonic()
-        for name, seen in sorted(found, key=lambda item: item[1].created):
+        # Rows of former versions have no number. What cannot be read is kept for longest.
+        for name, seen in sorted(
+            found, key=lambda item: (not item[1].digest, item[1].number, item[1].created)
+        ):
             seen.since = since
+            self._number = max(self._number, seen.number)
             self._known[name] = seen
             self._bytes += seen.size
             if not seen.digest:
@@ -208,6 +226,7 @@ def _read(row: Any) -> _Seen:
     try:
         seen = _Seen(row["digest"], row["created"], row["type"], row["path"])
         seen.command, seen.reply = row["command"], row["reply"]
+        seen.number = row.get("number", 0)
         if seen.reply is not None:
             _decoded(seen)
     except (msgspec.DecodeError, TypeError, KeyError) as error:

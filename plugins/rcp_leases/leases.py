@@ -106,7 +106,10 @@ class Leases:
                 continue
             self.by_id[id_] = lease
             # The clock may have been set back: none lasts longer than one that is acquired now.
-            lease.expires = min(lease.expires, self._now() + int(self.config.ttl_max * 1e9))
+            most = self._now() + int(self.config.ttl_max * 1e9)
+            if lease.expires > most:
+                lease.expires = most
+                self._store.put(id_, lease.kept())  # or the next start would give it that again
             if lease.left(self._now()):
                 self._set_timer(lease)
             else:

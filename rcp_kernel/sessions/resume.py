@@ -44,7 +44,7 @@ class StoredSession(msgspec.Struct):
     transport: str
     created: int
     cut: int | None = None
-    """When its connection was lost; None: it had one when the gateway ended."""
+    """When its connection was lost, ns; None: it had one when the gateway was last alive."""
     subscriptions: dict[str, Any] = {}
 
 
@@ -85,11 +85,15 @@ class SessionResume:
                 self._delete(name, [])
                 continue
             # No longer than that, though the clock was set back since.
-            left = min((kept.cut or self.ended) + limit - self._now(), limit)
+            cut, moment = kept.cut, self._now()
+            kept.cut = min(cut or self.ended, moment)
+            left = kept.cut + limit - moment
             own = {key: row for key, row in subscriptions.items() if key.startswith(name)}
             if left <= 0:
                 self._delete(name, list(own))
                 continue
+            if kept.cut != cut:  # or the next start would give it the full time again
+                store.put(_TABLE, name, _row(kept))
             kept.subscriptions = {key.partition("/")[2]: row for key, row in own.items()}
             self._kept[name] = kept
             self._loop.call_later(left / 1e9, self._expire, name)
@@ -187,6 +191,12 @@ class SessionResume:
                 message="the gateway was restarted: samples in between are lost, and sample "
                 "numbers start again",
             )
+
+
+def _row(kept: StoredSession) -> dict[str, Any]:
+    row = msgspec.to_builtins(kept)
+    del row["subscriptions"]
+    return row
 
 
 def _same(kept: StoredSession, text: str) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from kernel.world import CONFIG, Client, World, kept_in, settled, world_of
+from rcp_gateway.testing import SteppedClock
 
 pytestmark = pytest.mark.anyio
 GO = "/tenant/alpha/action/go"
@@ -116,6 +117,22 @@ async def test_a_session_is_kept_no_longer_than_its_time(tmp_path: Path) -> None
         assert reply["error"]["code"] == "gap"
         await settled(world.server.kernel.store)
         assert world.server.kernel.store.load("sessions") == {}
+
+
+@pytest.mark.parametrize("back", [0, -7 * 86_400])
+async def test_a_session_does_not_get_its_time_again_at_every_restart(
+    stepped: SteppedClock, tmp_path: Path, back: float
+) -> None:
+    text = kept_in(tmp_path / "run.db", CONFIG + "[limits]\nsession_ttl = 300\n")
+    async with world_of(text, clock=stepped.clock) as world:
+        hello = await greeting(world.client())
+    stepped.adjust(back)
+    for _ in range(2):
+        async with world_of(text, clock=stepped.clock):
+            stepped.advance(200)
+    async with world_of(text, clock=stepped.clock) as world:
+        reply = await world.client().ask(type="hello", body=returning(hello))
+        assert reply["error"]["code"] == "gap"
 
 
 async def test_a_gateway_that_was_stopped_keeps_its_sessions_too(tmp_path: Path) -> None:

@@ -37,6 +37,21 @@ async def test_a_clock_that_is_set_forward_makes_no_key_forgotten(
         assert world.robot.values["param/limit"] == 1.5  # which it begins with
 
 
+async def test_the_oldest_key_goes_first_though_the_clock_went_back(
+    stepped: SteppedClock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = kept_in(tmp_path / "store.db")
+    async with world_of(text, clock=stepped.clock) as world:
+        await written(world.client(), 1.0)
+        stepped.adjust(-WEEK)
+        await written(world.client(), 2.0)
+    for _ in range(2):
+        async with world_of(text, clock=stepped.clock) as world:
+            await written(world.client(), 2.0)
+            assert world.robot.values["param/limit"] == 1.5  # which it begins with
+        monkeypatch.setattr("rcp_requests.idempotency._KEPT", 1)
+
+
 async def again(client: Client, value: float) -> Any:
     """Repeat a write; return what it answers."""
     reply = await written(client, value)

@@ -409,6 +409,23 @@ async def test_a_lease_does_not_outlast_a_clock_that_was_set_back_over_a_restart
         assert reply["status"] == "completed", reply
 
 
+async def test_nor_does_it_get_the_longest_time_again_at_every_restart(
+    stepped: SteppedClock, tmp_path: Path
+) -> None:
+    text = kept_in(tmp_path / "rcp.db", CONFIG + PEOPLE)
+    async with world_of(text, clock=stepped.clock) as world:
+        await lease(world.client(AGENT), "acquire", scope="/tenant/alpha")
+        await settled(world.server.kernel.store)
+    stepped.adjust(-7 * 86_400)
+    for _ in range(2):
+        async with world_of(text, clock=stepped.clock) as world:
+            await settled(world.server.kernel.store)
+            stepped.advance(200)  # of `lease_ttl_max`, 300
+    async with world_of(text, clock=stepped.clock) as world:
+        reply = await world.client().ask(type="write", path="/param/limit", body=1.0)
+        assert reply["status"] == "completed", reply
+
+
 async def test_a_repeated_request_for_a_lease_does_nothing_again(world: World) -> None:
     holder = world.client()
     ask = {"type": "execute", "path": "/system/leases", "idempotency_key": "once"}
