@@ -20,8 +20,8 @@ from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 from backends.ros2.interfaces import SHARED
-from failures import LISTED, Failure, read
-from lanes import PHASES, Lane
+from failures import LISTED, Failure, note, read
+from lanes import PHASES, Lane, chooses
 from verdict import tell
 
 _NONE = 5  # pytest's exit code when there is no such test
@@ -78,11 +78,21 @@ def _run_all(arguments: list[str], listed: Path) -> int:
     results: list[int] = []
     for phase in PHASES:
         lanes = [lane for lane in phase if lane.has_tests(arguments)]
-        results += _run_lanes(lanes, arguments, listed)
+        results += _judged(lanes, _run_lanes(lanes, arguments, listed), arguments, listed)
         cut = next((each for each in results if each not in (0, _FAILED, _NONE)), None)
         if cut is not None:
             return cut
     return max((each for each in results if each != _NONE), default=_NONE)
+
+
+def _judged(lanes: list[Lane], results: list[int], arguments: list[str], listed: Path) -> list[int]:
+    """Make a failure of a lane that found nothing to run though all tests were asked for."""
+    if chooses(arguments) or os.environ.get("PYTEST_ADDOPTS"):
+        return results
+    for lane, result in zip(lanes, results, strict=True):
+        if result == _NONE:
+            note(Failure(f"tests that are {lane.tests}", "none was found", cut_short=True), listed)
+    return [_FAILED if result == _NONE else result for result in results]
 
 
 def _run_lanes(lanes: list[Lane], arguments: list[str], listed: Path) -> list[int]:

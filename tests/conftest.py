@@ -22,7 +22,7 @@ from hypothesis import HealthCheck, settings
 
 import ahead  # noqa: F401 - first of ours: its clocks are there before anybody keeps one
 from failures import LISTED, Failure, failure, keep, note
-from lanes import is_alongside, needless
+from lanes import is_alongside, needless, unwritten
 from pairs import left_out
 from rcp_gateway.testing import SteppedClock, SteppedLoop
 from rcp_kernel.clock import SYSTEM_CLOCK, Clock
@@ -130,6 +130,17 @@ def pytest_collection_finish() -> None:
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Import no file of which a phase runs nothing: it takes a process half as long as its tests."""
     return True if needless(collection_path, config.option.markexpr) else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pycollect_makeitem(collector: pytest.Module | pytest.Class) -> Generator[None, Any, Any]:
+    """Refuse a file of which a lane could not know that it has tests of its own."""
+    made = yield
+    for item in made if isinstance(made, list) else ():
+        for mark in unwritten(item):
+            message = f"{item.name} is marked, but its file does not say `pytest.mark.{mark}`: no lane runs it"
+            raise collector.CollectError(message)
+    return made
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

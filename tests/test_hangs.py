@@ -166,3 +166,28 @@ def test_takes_long():
     assert f"FAILED test_stopped.py::test_takes_long {cut} - was under way" in end, told
     assert f"FAILED the run {cut}" in end, told
     assert code == 1
+
+
+def test_a_mark_that_its_file_does_not_spell_out_fails_the_run(project: Path) -> None:
+    code, told = verdict(
+        start(
+            project,
+            alias="""
+quick = getattr(pytest.mark, "serial")
+class Base:
+    pytestmark = quick
+class TestIt(Base):
+    def test_it(self): pass
+""",
+        )
+    )
+    assert "test_it is marked, but its file does not say `pytest.mark.serial`" in told, told
+    assert "FAILED test_alias.py" in told.rpartition(HEADING)[2], told
+    assert code == 1
+
+
+def test_a_lane_in_which_there_is_nothing_fails_a_run_of_all_tests(project: Path) -> None:
+    code, told = verdict(start(project, serial="@pytest.mark.serial\ndef test_it(): pass\n"))
+    assert "FAILED tests that are not alongside" in told.rpartition(HEADING)[2], told
+    assert "none was found" in told
+    assert code == 1
