@@ -91,8 +91,12 @@ class Commands:
         command: Command,
         what: str,
         progress: Callable[[float | None], None] | None = None,
+        *,
+        urgent: bool = False,
     ) -> None:
         """Send a command and wait until it is accepted; completion must be observed separately.
+
+        An urgent one, which brings something to rest, has room on a full link.
 
         :raises DeviceRejected: the vehicle refuses it.
         :raises DeviceTimeout: the vehicle does not respond.
@@ -102,15 +106,17 @@ class Commands:
         started = time.monotonic()
         async with self._turns[command.number]:
             try:
-                result = await self._request(command, what, progress, whole=command.whole)
+                result = await self._request(
+                    command, what, progress, whole=command.whole, urgent=urgent
+                )
             except AdapterUnavailable as lost:  # the vehicle may have received and executed it
                 raise DeviceTimeout(f"{what}: {lost}, and it had not responded") from None
             other = not command.whole and _fits(command)
             if result in (_UNSUPPORTED, _INT_ONLY) and other:
-                again = await self._request(command, what, progress, whole=True)
+                again = await self._request(command, what, progress, whole=True, urgent=urgent)
                 result = result if again == _UNSUPPORTED and result == _UNSUPPORTED else again
             elif result == _LONG_ONLY and command.whole:
-                result = await self._request(command, what, progress, whole=False)
+                result = await self._request(command, what, progress, whole=False, urgent=urgent)
         if result != _ACCEPTED:
             await self._refuse(command, what, result, started)
 
@@ -130,6 +136,7 @@ class Commands:
         progress: Callable[[float | None], None] | None,
         *,
         whole: bool,
+        urgent: bool,
     ) -> int:
         """Send it until it is acknowledged; return the MAV_RESULT."""
         answers: asyncio.Queue[tuple[int, int]] = asyncio.Queue()
@@ -155,7 +162,8 @@ class Commands:
                 while attempt <= config.retries and not running:  # one in progress would begin anew
                     self._vehicle.check()
                     _check_fence(command)
-                    self._hub.send(self._vehicle, self._message(command, attempt, whole=whole))
+                    message = self._message(command, attempt, whole=whole)
+                    self._hub.send(self._vehicle, message, urgent=urgent)
                     attempt, wait = attempt + 1, config.timeout
                     while (answer := await self._answer(answers, wait)) is not None:
                         result, part = answer
@@ -171,6 +179,7 @@ class Commands:
                 raise
         self._vehicle.check()
         if running:
+            self._orphans[command.number] = time.monotonic() + config.timeout
             raise DeviceTimeout(
                 f"{what}: the vehicle began it, and has told nothing for {_PATIENCE:g} s",
                 remedy="It may still go on: see its telemetry before you send it again.",
@@ -197,7 +206,8 @@ class Commands:
         self._orphans[number] = time.monotonic() + self._hub.config.timeout
         module, system = self._hub.dialect.module, self._vehicle.system
         with suppress(RcpError, OSError):
-            self._hub.send(self._vehicle, cancel_message(module, (system, component), number))
+            message = cancel_message(module, (system, component), number)
+            self._hub.send(self._vehicle, message, urgent=True)
 
     def _message(self, c: Command, attempt: int, *, whole: bool) -> Any:
         module, vehicle = self._hub.dialect.module, self._vehicle

@@ -47,7 +47,9 @@ def text_of(raw: bytes) -> str:
 class Stats:
     """Reception statistics of one link."""
 
-    __slots__ = ("bad", "bytes", "frames", "lost", "rejected", "sent", "unknown", "unsigned")
+    __slots__ = (
+        "bad", "bytes", "dropped", "frames", "lost", "rejected", "sent", "unknown", "unsigned",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.frames = self.bytes = self.sent = 0
@@ -61,6 +63,8 @@ class Stats:
         """Frames that lack the required signature."""
         self.rejected = 0
         """Frames signed with another key, and replayed ones."""
+        self.dropped = 0
+        """Frames that were not sent, as too many waited already."""
 
 
 class Framer:

@@ -49,6 +49,9 @@ class Hub:
         """Called with each newly detected vehicle."""
         self.changed: Callable[[Vehicle], None] = lambda _: None
         """Called when a vehicle is lost or connected again."""
+        self._untold: set[int] = set()
+        """Vehicles whose last change could not be told."""
+        self._complaint = ""
         self._due = 0.0
         """When the next heartbeat is sent."""
         self._first = asyncio.Event()
@@ -89,7 +92,7 @@ class Hub:
             vehicle.routes[link.number, address] = (link, address, now)
             if vehicle.lost:  # before the frame is processed: the stop must be sent first
                 vehicle.lost = False
-                self.changed(vehicle)
+                self._tell(vehicle)
             if frame.definition.id == self._texts.id:
                 self._texts.take(vehicle, frame)
             vehicle.take(frame, now)
@@ -166,7 +169,21 @@ class Hub:
             silent = now - vehicle.last_message_at > self.config.silence
             if silent and not vehicle.lost and now > vehicle.away_until:
                 vehicle.lose(self.silent(vehicle))
-                self.changed(vehicle)
+                self._untold.add(vehicle.system)
+            if vehicle.system in self._untold:
+                self._tell(vehicle)
+
+    def _tell(self, vehicle: Vehicle) -> None:
+        """Tell that a vehicle is lost, or connected again; at the next look again if that fails."""
+        self._untold.add(vehicle.system)
+        try:
+            self.changed(vehicle)
+        except Exception as error:
+            if repr(error) != self._complaint:
+                log.exception("change_of_vehicle_failed", vehicle=vehicle.system)
+            self._complaint = repr(error)
+        else:
+            self._untold.discard(vehicle.system)
 
     def silent(self, vehicle: Vehicle) -> str:
         """Describe a lost vehicle, with the known causes."""

@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import structlog
+
 from rcp_mavlink.config import LinkSpec
 from rcp_mavlink.frames import Frame, Framer
 from rcp_mavlink.serial_port import SerialPort
@@ -16,6 +18,7 @@ from rcp_mavlink.twins import keep_twin
 
 __all__ = ["Link", "Take"]
 
+log = structlog.get_logger("rcp.mavlink")
 _FIRST_WAIT, _LONGEST_WAIT = 0.5, 5.0  # s between attempts to connect
 _FORGET = 60.0  # s without data after which nothing more is sent to a UDP address
 _MOST_ADDRESSES = 256
@@ -36,6 +39,8 @@ class Link:
         self.text = text
         self.spec = LinkSpec.of(text)
         self._make, self._take = make, take
+        self._full = False
+        """Whether what was to be sent last was dropped."""
         self._waiting_room = _ROOM
         if self.spec.kind == "serial":  # or a stop would be sent seconds later
             self._waiting_room = max(_LEAST, round(self.spec.port * _BYTES))
@@ -169,7 +174,7 @@ class Link:
                 self.framers.pop(address, None)
 
     def send(self, frame: bytes, address: Any, *, urgent: bool = False) -> None:
-        """Send a frame to a known address; dropped if too many wait, of which a stop has its own number."""
+        """Send a frame to a known address; dropped, and counted, if too many wait, of which a stop has its own number."""
         transport = self._transports.get(address)
         if transport is not None:
             room = self._waiting_room * (2 if urgent else 1)
@@ -179,9 +184,19 @@ class Link:
                 else:
                     transport.write(frame)
                 self.framer.stats.sent += 1
+                if not urgent:
+                    self._full = False
+            else:
+                self._drop()
         elif self._datagrams is not None and address is not None:
             self._datagrams.sendto(frame, address)
             self.framer.stats.sent += 1
+
+    def _drop(self) -> None:
+        self.framer.stats.dropped += 1
+        if not self._full:
+            self._full = True
+            log.warning("link_full", link=self.text)
 
     def send_all(self, frame: bytes) -> None:
         """Send a frame to all peers."""

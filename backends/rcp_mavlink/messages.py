@@ -299,6 +299,8 @@ class LinkState(Struct, frozen=True):
     rejected: Count
     """Frames signed with another key, and replayed ones."""
     sent: Count
+    dropped: Count
+    """Frames that were not sent, as the link was full."""
 
 
 class StatusText(Struct, frozen=True):

@@ -116,9 +116,9 @@ class Missions:
         if vehicle.mode != vehicle.family.auto:
             raise PreconditionFailed(f"mission: none is running, the mode is {vehicle.mode}")
         if vehicle.family.px4:  # it pauses by leaving the mode, and remembers its item
-            await self._motion.to_mode(vehicle.family.hold)
+            await self._motion.to_mode(vehicle.family.hold, urgent=True)
         else:
-            await self._commands.send(Command(193), "pause")
+            await self._commands.send(Command(193), "pause", urgent=True)
         px4 = vehicle.family.px4
         paused = await vehicle.until(
             lambda: (px4 or self._now()["mission_state"] == _PAUSED) and self._motion.rests,

@@ -82,16 +82,24 @@ class Motion:
         return m.SetMode(self._vehicle.mode)
 
     async def to_mode(
-        self, name: str, *, surely: bool = False, progress: Progress | None = None
+        self,
+        name: str,
+        *,
+        surely: bool = False,
+        progress: Progress | None = None,
+        urgent: bool = False,
     ) -> None:
-        """Change to a mode of its family; `surely` sends it even if it seems to be in effect."""
+        """Change to a mode of its family; `surely` sends it even if it seems to be in effect.
+
+        An urgent one, to come to rest, has room on a full link.
+        """
         family = self._vehicle.family
         command, number = mode_command(family, name), family.number(name)
         if self._vehicle.mode_number == number and not surely:
             return
         on_progress = _ignore_progress if progress is None else progress
         with unanswered(on_progress):
-            await self._commands.send(command, f"mode {name}")
+            await self._commands.send(command, f"mode {name}", urgent=urgent)
         on_progress()
         await self.seen(lambda: self._vehicle.mode_number == number, f"mode {name}")
 
@@ -177,9 +185,9 @@ class Motion:
         await self._hold_in(modes[-1])
 
     async def _hold_in(self, mode: str) -> None:
-        await self.to_mode(mode, surely=True)
+        await self.to_mode(mode, surely=True, urgent=True)
         if self._vehicle.family.px4:
-            self._commands.send_once(PAUSE_PX4)
+            self._commands.send_once(PAUSE_PX4, urgent=True)
 
     async def shielded(self, do: Callable[[], Awaitable[Any]]) -> None:
         """Finish a stop although the calling command is being cancelled.

@@ -125,6 +125,6 @@ class Ongoing:
         if self._vehicle.lost:  # the uplink may work although the downlink does not
             self.end()
         self._ended_at = self._ended_at or time.monotonic()
-        await self._commands.send(stop, f"{what}: stop")
+        await self._commands.send(stop, f"{what}: stop", urgent=True)
         if not await self._vehicle.until(lambda: not self.runs(), _OVER):
             raise DeviceTimeout(f"{what}: it was not seen to stop")

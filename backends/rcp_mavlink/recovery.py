@@ -38,7 +38,7 @@ class Recovery:
         refused = ""
         if mode:
             try:
-                await self._motion.to_mode(mode, surely=True)
+                await self._motion.to_mode(mode, surely=True, urgent=True)
             except DeviceRejected as error:
                 refused = f"{error}; "
             else:

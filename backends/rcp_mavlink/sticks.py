@@ -168,4 +168,4 @@ class Sticks:
         PX4 would take the values that release a channel as deflections; it waits 0.5 s instead.
         """
         if not self._vehicle.family.px4:
-            self._hub.send(self._vehicle, self._override(ChannelPulses()))
+            self._hub.send(self._vehicle, self._override(ChannelPulses()), urgent=True)

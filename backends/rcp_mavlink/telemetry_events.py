@@ -113,6 +113,7 @@ class TelemetryEvents:
                     s.unsigned,
                     s.rejected,
                     s.sent,
+                    s.dropped,
                 )
             )
         return found

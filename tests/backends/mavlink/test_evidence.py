@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import time
 from typing import Any
@@ -96,6 +97,43 @@ async def test_a_command_in_progress_that_goes_silent_is_not_sent_again(
         assert reply["error"]["code"] == "device_timeout"
         assert "began it" in reply["message"]
         assert len(found.puppet.commands(211)) == 1
+
+
+async def test_a_late_end_of_a_silent_command_is_not_that_of_the_next_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("rcp_mavlink.commands._PATIENCE", 0.5)
+    async with station(Puppet()) as found:
+        puppet, later = found.puppet, asyncio.get_running_loop().call_later
+        begins(puppet)
+        body = {"command": "DO_GRIPPER"}
+        first = await found.do("service/command", body)
+        assert first["status"] == "failed", first
+
+        def answer(message: Any) -> None:
+            if message.command == 211:
+                later(0.15, puppet.send, "COMMAND_ACK", 211, DENIED, 0, 0, 255, 190)
+
+        puppet.on["COMMAND_LONG"] = answer
+        later(0.1, puppet.send, "COMMAND_ACK", 211, 0, 0, 0, 255, 190)  # of the first
+        second = await found.do("service/command", body)
+        assert second["status"] == "rejected", second
+
+
+async def test_a_loss_that_could_not_be_told_is_told_again() -> None:
+    async with station(Puppet()) as found:
+        hub, told = found.served.life.backend.hub, list[bool]()
+
+        def changed(vehicle: Any) -> None:
+            told.append(vehicle.lost)
+            if len(told) == 1:
+                raise KeyError("a listener")
+
+        hub.changed = changed
+        found.puppet.quiet = True
+        await eventually(lambda: _is(told == [True, True]), "it is told again", 20.0)
+        found.puppet.quiet = False
+        await eventually(lambda: _is(told == [True, True, False]), "it is back", 20.0)
 
 
 async def test_a_command_in_progress_ends_with_the_link() -> None:
