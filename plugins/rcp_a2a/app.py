@@ -36,6 +36,7 @@ from rcp_web.asgi import (
     peer_of,
     read_body,
     session_of,
+    until_gone,
 )
 
 __all__ = ["App"]
@@ -304,15 +305,10 @@ class _Exchange:
             body, self._body = self._body, None
             return {"type": "http.request", "body": body, "more_body": False}
         over = asyncio.ensure_future(self._over.wait())
-        left = asyncio.ensure_future(_left(self._receive))
+        left = asyncio.ensure_future(until_gone(self._receive))
         try:
             await asyncio.wait((over, left), return_when=asyncio.FIRST_COMPLETED)
         finally:
             over.cancel()
             left.cancel()
         return {"type": "http.disconnect"}
-
-
-async def _left(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass

@@ -22,7 +22,7 @@ from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
 from rcp_web.application import response
-from rcp_web.asgi import Headers, Receive, Send
+from rcp_web.asgi import Headers, Receive, Send, until_gone
 
 __all__ = ["STALLED", "Cameras"]
 
@@ -217,8 +217,5 @@ class Stream:
             self.finish()
 
     async def _watch(self) -> None:
-        """Wait for the client to disconnect."""
-        message: Any = await self._receive()
-        while message["type"] != "http.disconnect":
-            message = await self._receive()
+        await until_gone(self._receive)
         self.finish()

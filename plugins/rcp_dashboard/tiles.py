@@ -16,7 +16,7 @@ from litestar.types import ASGIApp
 
 from rcp_kernel.errors import ConfigError, RcpError, UnknownPath
 from rcp_web.application import Application, Asked, response, scope_of
-from rcp_web.asgi import Headers, Scope, header
+from rcp_web.asgi import Headers, Scope, header, until_gone
 from rcp_web.ranges import byte_range, range_headers
 from rcp_web.refusals import Refusal, envelope
 
@@ -98,7 +98,7 @@ def _streamed(status: int, headers: Headers, file: FileIO, start: int, stop: int
     async def send_it(_scope: Any, receive: Any, send: Any) -> None:
         with file:
             await send({"type": "http.response.start", "status": status, "headers": headers})
-            gone = asyncio.ensure_future(_gone(receive))
+            gone = asyncio.ensure_future(until_gone(receive))
             try:
                 async with aclosing(_pieces(file, start, stop)) as pieces:
                     async for piece in pieces:
@@ -112,12 +112,6 @@ def _streamed(status: int, headers: Headers, file: FileIO, start: int, stop: int
         await send({"type": "http.response.body", "body": b""})
 
     return send_it
-
-
-async def _gone(receive: Any) -> None:
-    """Return when the client has closed its connection."""
-    while (await receive())["type"] != "http.disconnect":
-        pass
 
 
 async def _pieces(file: FileIO, start: int, stop: int) -> AsyncGenerator[bytes]:

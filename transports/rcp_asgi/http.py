@@ -74,6 +74,8 @@ class HttpProtocol(HttpToolsProtocol):
         """Remaining bytes of the body, by its Content-Length."""
         self._silent = 0
         """Bytes since the parser's last callback: it buffers an unfinished header."""
+        self._too_late = 0
+        """Bytes of the body since its response was complete."""
         self._unread: bytes | memoryview = b""
         self._turn: asyncio.Handle | None = None
         self._deaf = False
@@ -183,6 +185,8 @@ class HttpProtocol(HttpToolsProtocol):
         size = max(_SLICE, min(self._owed, _BODY_SLICE))
         part, self._unread = self._unread[:size], self._unread[size:]
         self._silent += len(part)
+        late = self._in_body and self.cycle is not None and self.cycle.response_complete
+        self._too_late = self._too_late + len(part) if late else 0
         try:
             self.parser.feed_data(part)
         except httptools.HttpParserUpgrade as upgrade:
@@ -203,6 +207,9 @@ class HttpProtocol(HttpToolsProtocol):
             return
         if self._silent > self._settings.config.max_header and self._owed <= 0:
             self._give_up(HeadTooLong("the request's headers are too long"))
+            return
+        if self._too_late > self._settings.client_api.limits.message:  # longer than any may be
+            self._leave()
             return
         self._continue()
 
@@ -429,12 +436,21 @@ class HttpProtocol(HttpToolsProtocol):
         self._watch(self._settings.config.body_timeout)
 
     def _part(self, error: RcpError) -> None:
-        """Send the error and close; lingers, because closing at once would reset the connection."""
+        """Send the error and close."""
+        if not self.transport.is_closing():
+            self._say(error, error.http)
+        self._leave()
+
+    def _leave(self) -> None:
+        """Read no more, and close; lingers, because closing at once would reset the connection."""
         self._unset_keepalive_if_required()
         self._stop_clock()
+        self._deaf = True
+        self._unread = b""
         if self.transport.is_closing():
             return
-        self._say(error, error.http)
+        self._reading.release()
+        self.flow.resume_reading()
         if self.transport.can_write_eof() and not self._ended:
             self.transport.write_eof()
             self._watch(_LINGER)

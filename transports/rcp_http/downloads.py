@@ -13,7 +13,7 @@ from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import matches
 from rcp_http.request import HttpRequest
 from rcp_kernel.errors import NotImplementedByRobot, RcpError
-from rcp_web.asgi import Headers, Receive, Send, read_parts, respond
+from rcp_web.asgi import Headers, Receive, Send, read_parts, respond, until_gone
 from rcp_web.downloads import RECORDINGS, Download, Recordings
 from rcp_web.ranges import byte_range
 
@@ -82,7 +82,7 @@ async def send_download(
         headers.append((b"content-length", b"%d" % ((stop or 0) - start)))
     head = {"type": "http.response.start", "status": status, "headers": headers}
     sending = asyncio.ensure_future(_send_pieces(send, session, head, download.pieces(start, stop)))
-    gone = asyncio.ensure_future(_until_gone(receive))
+    gone = asyncio.ensure_future(until_gone(receive))
     try:
         await asyncio.wait((sending, gone), return_when=asyncio.FIRST_COMPLETED)
     finally:
@@ -92,12 +92,6 @@ async def send_download(
             await asyncio.wait((sending,))
     if not sending.cancelled():
         sending.result()
-
-
-async def _until_gone(receive: Receive) -> None:
-    """Return once the client has closed the connection."""
-    while (await receive())["type"] != "http.disconnect":
-        pass
 
 
 async def _send_pieces(

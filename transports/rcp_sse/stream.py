@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import structlog
 
-from rcp_web.asgi import Receive, Scope, Send
+from rcp_web.asgi import Receive, Scope, Send, until_gone
 
 __all__ = ["Collect", "Stream"]
 
@@ -106,8 +106,5 @@ class Stream:
             self.wake()
 
     async def _watch(self) -> None:
-        """Wait for the client to disconnect."""
-        message: Any = await self._receive()
-        while message["type"] != "http.disconnect":
-            message = await self._receive()
+        await until_gone(self._receive)
         self.finish()

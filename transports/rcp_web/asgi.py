@@ -32,6 +32,7 @@ __all__ = [
     "session_of",
     "status_of",
     "too_large",
+    "until_gone",
 ]
 
 Scope = MutableMapping[str, Any]
@@ -46,6 +47,7 @@ MEDIA = {
     Encoding.MSGPACK: b"application/msgpack",
 }
 """The media type of each encoding."""
+_UNREAD = 64 * 1024  # bytes of a body that means nothing
 _WITHOUT_ERROR = {"completed": 200, "failed": 502, "rejected": 409, "cancelled": 499}
 """HTTP statuses of final replies that name no error, as a plugin may send them."""
 
@@ -110,6 +112,19 @@ async def read_parts(receive: Receive, limit: int, patience: float | None) -> li
     except TimeoutError:
         raise DeadlineExceeded(f"the body was not complete within {patience:g} s") from None
     return parts
+
+
+async def until_gone(receive: Receive) -> None:
+    """Return once the client has closed the connection, or sends a body without an end.
+
+    To be called while a response is sent whose request has no body that matters: a short one is skipped.
+    """
+    size = 0
+    while size <= _UNREAD:
+        message = await receive()
+        if message["type"] == "http.disconnect":
+            return
+        size += len(message.get("body", b""))
 
 
 def too_large(limit: int) -> PayloadTooLarge:

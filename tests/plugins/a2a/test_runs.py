@@ -7,7 +7,7 @@ import base64
 import json
 import re
 from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -280,6 +280,22 @@ async def test_a_task_goes_on_without_its_client_and_is_followed_again(
         gateway.robot.release.set()
         await stream.until("COMPLETED")
         assert await stream.next() is None
+
+
+async def test_a_stream_whose_request_has_a_body_without_an_end_ends() -> None:
+    async with (
+        asyncio.timeout(BOUND),
+        agent(more="[limits]\nmessage = 100_000") as gateway,
+        caller(gateway) as client,
+    ):
+        id_ = await begun(client, gateway, text(GO))
+
+        async def endless() -> AsyncGenerator[bytes]:
+            while True:
+                yield bytes(4096)
+
+        with suppress(httpx.HTTPError):
+            await client.request("GET", f"/a2a/tasks/{id_}:subscribe", content=endless())
 
 
 async def test_a_task_under_way_takes_no_messages(gateway: Site, client: httpx.AsyncClient) -> None:
