@@ -41,8 +41,9 @@ def check_place(host: ActionHost, session: Session, node: Node, value: Any) -> N
 
     :raises PreconditionFailed: it was.
     """
-    tenant = tenant_of(node.path or "") or ""
-    if node.place is not None and _find(host, session, tenant, value) != node.place:
+    if node.place is None or node.path is None:
+        return
+    if _find(host, session, tenant_of(node.path) or "", value) != node.place:
         raise PreconditionFailed(
             f"the place '{_name(value)}' is not where it was when the plan was approved",
             path=node.path,

@@ -65,7 +65,7 @@ class SessionResume:
         self._shutdown = shutdown
         self._loop = loop
         self._kept: dict[str, StoredSession] = {}
-        self.ended = 0
+        self.ended: int = 0
         """When the earlier run was last known to be alive, ns."""
         self._beat: asyncio.TimerHandle | None = None
         if store.keeps:
@@ -85,14 +85,15 @@ class SessionResume:
                 self._delete(name, [])
                 continue
             # No longer than that, though the clock was set back since.
-            cut, moment = kept.cut, self._now()
-            kept.cut = min(cut or self.ended, moment)
-            left = kept.cut + limit - moment
+            moment = self._now()
+            cut = min(kept.cut or self.ended, moment)
+            left = cut + limit - moment
             own = {key: row for key, row in subscriptions.items() if key.startswith(name)}
             if left <= 0:
                 self._delete(name, list(own))
                 continue
             if kept.cut != cut:  # or the next start would give it the full time again
+                kept.cut = cut
                 store.put(_TABLE, name, _row(kept))
             kept.subscriptions = {key.partition("/")[2]: row for key, row in own.items()}
             self._kept[name] = kept

@@ -158,7 +158,5 @@ async def test_many_records_of_a_clock_that_was_never_set_go_with_the_first_old_
         stepped.adjust(-back)
         await write(world)
         assert await checked(world, stepped, 20 * DAY) == 1
-        await checked(world, stepped)
-        for _ in range(12):
-            left = await checked(world, stepped, 2 * DAY)
-        assert left > 30
+        left = [await checked(world, stepped, 2 * DAY) for _ in range(12)]
+        assert left[-1] > 30
