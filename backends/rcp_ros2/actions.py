@@ -243,18 +243,23 @@ class Goal:
         await self._ros.call(self._request_result, handle)
 
     async def _check_others(self) -> None:
-        """Cancel the goal at other nodes that serve the action, if there are any.
+        """Cancel the goal at other servers of the action, if there are any.
+
+        A server that was restarted is there twice for a while, which makes a failure of a rejection.
 
         :raises DeviceRejected: there are, and one of them may have begun with it.
         """
-        await self._ros.call(self._run.servers)
-        nodes = sorted(self._run.nodes)
-        if len(nodes) <= 1:
+        servers = await self._ros.call(self._run.servers)
+        if len(servers) <= 1:
             return
-        self._abandon()
+        self._ros.post(self._cancel_unseen, True)
         self._progress()
+        nodes = sorted(self._run.nodes)
+        named = " and ".join(nodes)
+        if len(nodes) <= 1:  # the same node started twice, such as by its launch file
+            named = f"{len(servers)} servers of {named or 'a node'}"
         raise DeviceRejected(
-            f"a server of {self._name} rejected the goal, but {' and '.join(nodes)} serve it: "
+            f"a server of {self._name} rejected the goal, but {named} serve it: "
             "another one may have begun with it, and was told to cancel it",
             remedy="Have one node serve the action.",
         )
@@ -336,7 +341,8 @@ class Goal:
     async def stop(self) -> bool:
         """Cancel the goal and wait until it has ended; return whether there was one to cancel.
 
-        :raises DeviceRejected: the server refuses to cancel.
+        :raises DeviceRejected: the server refuses to cancel, or has rejected the goal while another
+            one may have begun with it.
         :raises DeviceTimeout: the server has not confirmed the cancel.
         """
         self._stopping = True
@@ -350,8 +356,7 @@ class Goal:
             )
         handle = self._accepted.result()
         if not handle.accepted:
-            if len(self._run.nodes) > 1:
-                self._abandon()
+            await self._check_others()
             return False
         answer = Ticket(self._run.shared.host)
         self._ros.post(self._request_cancel, handle, answer)  # however late the thread comes to it
@@ -394,12 +399,15 @@ class Goal:
         if self._abandoned:
             self._cancel_unseen()
 
-    def _cancel_unseen(self) -> None:
-        """Cancel an abandoned goal, now or as soon as its server responds again."""
+    def _cancel_unseen(self, rejected: bool = False) -> None:
+        """Cancel an abandoned goal, now or as soon as its server responds again.
+
+        One that was `rejected` by a server may run at another one.
+        """
         self._abandoned = True
         server = self._run.shared.keeper.servers.get(self._name)
         if server is not None:
-            server.abandon(self._id)
+            server.abandon(self._id, rejected=rejected)
         handle = self._seen
         if handle is not None and handle.accepted and self._run.client is not None:
             handle.cancel_goal_async()

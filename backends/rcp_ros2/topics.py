@@ -119,6 +119,13 @@ class TopicSubscriptions:
         self._complain(f"losses of {topic}", None)
         self._keep_sweeping()
 
+    def renew(self, topic: str) -> None:
+        """Subscribe anew, so that every publisher sends its latched message again."""
+        subscription = self.by_topic.get(topic)
+        if subscription is not None:
+            self._drop(subscription)
+            self._match(subscription)
+
     def refresh(self) -> None:
         """Match publishers that have appeared in the meantime."""
         for subscription in self.by_topic.values():

@@ -1,6 +1,6 @@
 """A robot in a process of its own: every primitive of ROS 2 that the backend maps, and a few traps.
 
-Run as `python peer.py [name]`; prints `ready` when everything is offered, answers each line with how
+Run as `python peer.py [name [manner]]`; prints `ready` when everything is offered, answers each line with how
 things are, and ends with its stdin, so that no peer outlives a test run that was killed.
 """
 
@@ -44,8 +44,11 @@ DESCRIPTION = """<robot name="peer"><link name="base"><visual><geometry>
 class Peer(Node):
     """The robot."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, manner: str) -> None:
         super().__init__(name)
+        self.manner = manner
+        """Which goals it accepts, and when."""
+        self.retired = False
         self.group = ReentrantCallbackGroup()
         self.on = False
         self.twist = Twist()
@@ -168,10 +171,12 @@ class Peer(Node):
         return response
 
     def admit(self, goal: Fibonacci.Goal) -> GoalResponse:
-        name = self.get_name()
-        if name == "late":
+        if self.manner in ("late", "odd"):
             time.sleep(0.5)  # until the other server of the action has rejected it
-        return GoalResponse.REJECT if goal.order < 0 or name == "strict" else GoalResponse.ACCEPT
+        refused = goal.order < 0 or self.manner == "strict"
+        if self.manner in ("odd", "even"):
+            refused = goal.order % 2 != (self.manner == "odd")
+        return GoalResponse.REJECT if refused else GoalResponse.ACCEPT
 
     def compute(self, goal: object) -> Fibonacci.Result:
         """Order 0 aborts; 100 ms a number."""
@@ -185,7 +190,7 @@ class Peer(Node):
     def count_up(self, goal: object) -> Fibonacci.Result:
         order = goal.request.order
         sequence = [0, 1]
-        while len(sequence) <= order:
+        while len(sequence) <= order and not self.retired:
             if goal.is_cancel_requested:
                 goal.canceled()
                 return Fibonacci.Result(sequence=sequence)
@@ -216,7 +221,8 @@ class Peer(Node):
 
 def main() -> None:
     rclpy.init()
-    peer = Peer(sys.argv[1] if len(sys.argv) > 1 else "peer")
+    name = sys.argv[1] if len(sys.argv) > 1 else "peer"
+    peer = Peer(name, sys.argv[2] if len(sys.argv) > 2 else name)
     executor = MultiThreadedExecutor(6)
     executor.add_node(peer)
     spinning = threading.Thread(target=executor.spin)
@@ -227,6 +233,9 @@ def main() -> None:
             peer.refused = line.split(" ", 1)[1].strip()
         if line == "withdraw\n":
             peer.destroy_service(peer.slow_service)
+        if line == "retire\n":
+            peer.retired = True
+            peer.fibonacci.destroy()
         print(json.dumps(peer.truth()), flush=True)  # noqa: T201
     executor.shutdown(timeout_sec=1)
     spinning.join(2)

@@ -249,6 +249,10 @@ class Peer:
         """Have it offer its slow service no more."""
         self._ask("withdraw")
 
+    def retire(self) -> None:
+        """Have it serve its action no more."""
+        self._ask("retire")
+
     def _ask(self, line: str) -> Any:
         assert self._process is not None
         assert self._process.stdin is not None
