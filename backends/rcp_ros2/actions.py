@@ -252,7 +252,7 @@ class Goal:
         servers = await self._ros.call(self._run.servers)
         if len(servers) <= 1:
             return
-        self._ros.post(self._cancel_unseen, True)
+        self._ros.post(self._cancel_rejected)
         self._progress()
         nodes = sorted(self._run.nodes)
         named = " and ".join(nodes)
@@ -399,11 +399,12 @@ class Goal:
         if self._abandoned:
             self._cancel_unseen()
 
-    def _cancel_unseen(self, rejected: bool = False) -> None:
-        """Cancel an abandoned goal, now or as soon as its server responds again.
+    def _cancel_rejected(self) -> None:
+        """Cancel a goal that one server has rejected, wherever else it runs."""
+        self._cancel_unseen(rejected=True)
 
-        One that was `rejected` by a server may run at another one.
-        """
+    def _cancel_unseen(self, *, rejected: bool = False) -> None:
+        """Cancel an abandoned goal, now or as soon as its server responds again."""
         self._abandoned = True
         server = self._run.shared.keeper.servers.get(self._name)
         if server is not None:

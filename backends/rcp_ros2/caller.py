@@ -170,7 +170,10 @@ class _Watch:
         self._alarm = None
         now = loop.time()
         for ticket, (once, limit, end) in list(self._waiting.items()):
-            error = self._fault(once, limit, end - now)
+            try:
+                error = self._fault(once, limit, end - now)
+            except Exception as failed:  # of one call: the others have no other timer
+                error = failed
             if error is None:
                 self._ring_at(loop, min(end, now + _POLL))
             else:

@@ -19,6 +19,7 @@ from rcp_ros2.types import inward
 __all__ = ["StopCall", "StopSignal"]
 
 _PERIOD = 0.1  # s between two transmissions of a signal
+_LAST = 1.0  # s for a stop that is called while the backend closes
 _QOS = Qos(reliability="reliable", durability="transient_local", depth=1)
 
 
@@ -171,8 +172,10 @@ class StopCall:
             answer = getattr(response, "message", "") or "success: false"
             raise DeviceRejected(f"{self.name} responded {answer!r}")
 
-    def close(self) -> None:
-        """Destroy the client."""
+    async def close(self) -> None:
+        """Destroy the client; a stop on its way is sent first, if that does not take long."""
+        if self.engaged and self._running is not None:
+            await asyncio.wait([self._running], timeout=_LAST)
         for task in (self._running, self._releasing):
             if task is not None:
                 task.cancel()

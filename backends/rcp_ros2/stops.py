@@ -501,8 +501,7 @@ class Stops:
 
     async def close(self) -> None:
         """Release everything."""
-        for call in self._calls.values():
-            call.close()
+        await asyncio.gather(*(call.close() for call in self._calls.values()))
         self._shared.ros.post(self.keeper.close)
 
 

@@ -7,13 +7,17 @@ import threading
 from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from backends.ros2.robot import BOUND, Base, Peer, Robot, fresh_domain, ignore, robot_of
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
+from rcp_kernel.spi import Host
+from rcp_ros2.caller import _Watch
 from rcp_ros2.means import StopCall
+from rcp_ros2.ros import Once, Ticket
 
 pytestmark = pytest.mark.anyio
 _STOP = {
@@ -133,7 +137,48 @@ async def test_a_stop_is_not_overtaken_by_the_release_before_it(based: _Based) -
         async with asyncio.timeout(BOUND):
             while based.base.tell("truth")["brakes"]:  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
-        call.close()
+        await call.close()
+
+
+async def test_a_stop_on_its_way_is_sent_although_the_backend_closes(based: _Based) -> None:
+    async with _docking(based, stop={"service": _STOP, "feedback": False}) as robot:
+        await _offered(robot, "/estop")
+        shared = robot.backend.catalog.shared
+        call = StopCall(shared, shared.config.stop.service, None)
+        await shared.ros.call(call.prepare)
+        with _busy(robot):
+            stopping = asyncio.ensure_future(call.engage())
+            await asyncio.sleep(0)
+            closing = asyncio.ensure_future(call.close())
+            await asyncio.sleep(0)
+        await closing
+        await stopping
+        assert based.base.tell("truth")["brakes"] == ["service"]
+        releasing = StopCall(shared, shared.config.stop.service, None)
+        releasing.engaged = True
+        releasing.release()
+        async with asyncio.timeout(BOUND):
+            while based.base.tell("truth")["brakes"]:  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
+        await releasing.close()
+
+
+async def test_a_call_that_cannot_be_judged_does_not_leave_the_others_without_a_limit() -> None:
+    def fault(_once: Once, limit: float, left: float) -> Exception | None:
+        if limit < 0.02:
+            raise RuntimeError("a bug")
+        return TimeoutError("too late") if left <= 0 else None
+
+    watch = _Watch(fault)
+    host = cast("Host", SimpleNamespace())
+    first, second = Ticket(host), Ticket(host)
+    watch.add(first, 0.01, Once())
+    watch.add(second, 0.05, Once())
+    with pytest.raises(RuntimeError, match="a bug"):
+        await asyncio.wait_for(first.answer(), BOUND)
+    watch.remove(first)
+    with pytest.raises(TimeoutError, match="too late"):
+        await asyncio.wait_for(second.answer(), 5.0)
 
 
 class _Pair:

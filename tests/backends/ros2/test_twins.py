@@ -45,7 +45,7 @@ async def module_robot(twins: _Twins) -> AsyncIterator[Robot]:
         async with asyncio.timeout(BOUND):
             run = _run(robot)
             await run.reach()
-            while len(await _ros(robot).call(run.servers)) < 2 or not _servers(robot):
+            while len(await _ros(robot).call(run.servers)) < 2 or not _servers(robot):  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
         yield robot
 
