@@ -23,7 +23,7 @@ from rcp_vda5050.zone_intake import Fetch, ZoneIntake
 from rcp_vda5050.zone_messages import Responses, ZoneSetMessage
 from rcp_vda5050.zone_store import ZoneStore
 
-__all__ = ["Robot"]
+__all__ = ["LARGEST", "Robot"]
 
 log = structlog.get_logger("rcp.vda5050")
 _EVERY = 30.0  # s between two states, at most (section 6.10)
@@ -32,7 +32,14 @@ _MOST = 200  # instant actions that are remembered
 _AT_ONCE = 20  # instant actions that run
 _ALWAYS = ("startPause", "stopPause", "cancelOrder")
 """Instant actions that are neither counted nor refused by that limit: whoever stops a robot waits for nothing."""
-_LARGEST = 1 << 20  # bytes of a message
+LARGEST = 1 << 20
+"""Bytes of a message, at most."""
+_STOPPING = ("startPause", "cancelOrder")
+"""Instant actions that are carried out although the broker has kept them: they only stop."""
+_LOOK_AGAIN, _RARELY = (
+    1.0,
+    10.0,
+)  # s until a look at the e-stop that failed is repeated, at first and at last
 _ESTOP, _ROBOTS = "/system/estop", "/system/robots"
 T = TypeVar("T", bound=Addressed)
 Publish = Callable[[str, dict[str, Any]], None]
@@ -68,6 +75,7 @@ class Robot:
         self._intake = ZoneIntake(config.map, self.work, store, fetch, self.changed)
         self._due = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
+        self._looks = 0
 
     async def open(self, rows: Mapping[str, Any]) -> None:
         """Begin to work, with the zones that earlier runs have stored."""
@@ -132,10 +140,33 @@ class Robot:
                     for action in given.actions:
                         self._take_instant(action)
 
-    def refuse_kept(self, topic: str) -> None:
-        """Refuse a message that the broker kept for whoever comes: nobody knows how old it is."""
+    def take_kept(self, topic: str, payload: bytes) -> None:
+        """Refuse a message that the broker kept for whoever comes: nobody knows how old it is.
+
+        Only what stops the robot is carried out: it may have been sent while the robot was not reached.
+        """
         text = f"{topic}: the message was kept by the broker, so that it is not carried out"
+        if topic == "instantActions":
+            if (given := self._decoded(payload, InstantActions)) is None:
+                return
+            stopping = [each for each in given.actions if each.action_type in _STOPPING]
+            for action in stopping:
+                self._take_instant(action)
+            if stopping:
+                done = ", ".join(dict.fromkeys(each.action_type for each in stopping))
+                text = f"{topic}: the message was kept by the broker, so that only {done} of it is carried out"
         hint = "Publish it without the flag `retain`, and clear the one that is kept."
+        self.work.refuse(Fault("malformed", text, (("topic", topic),), hint))
+
+    def refuse_large(self, topic: str, size: int) -> None:
+        """Refuse a message by its size."""
+        text = f"{topic}: {size} bytes are too many: a message has at most {LARGEST}"
+        self.work.refuse(Fault("malformed", text, (("topic", topic),)))
+
+    def refuse_dropped(self, topic: str) -> None:
+        """Tell that messages were dropped, because too many waited."""
+        text = f"{topic}: messages came faster than they are taken, and some were dropped"
+        hint = "Send what the state does not show again, and fewer messages at once."
         self.work.refuse(Fault("malformed", text, (("topic", topic),), hint))
 
     def _answered(self, answers: Responses) -> None:
@@ -171,7 +202,7 @@ class Robot:
 
     def _decoded(self, payload: bytes, type_: type[T]) -> T | None:
         try:
-            if len(payload) > _LARGEST:
+            if len(payload) > LARGEST:
                 raise msgspec.ValidationError(f"{len(payload)} bytes are too many")
             message = msgspec.json.decode(payload, type=type_)
         except (msgspec.MsgspecError, RecursionError) as error:
@@ -277,9 +308,18 @@ class Robot:
         self._start(self._look())
 
     async def _look(self) -> None:
-        reply = await self._link.send("read", _ROBOTS, None).result()
-        if reply["status"] != "completed":
-            return  # as far as is known, nothing has changed
+        self._looks += 1
+        look, pause = self._looks, _LOOK_AGAIN
+        while True:
+            reply = await self._link.send("read", _ROBOTS, None).result()
+            if look != self._looks:  # a later one has begun, or has ended
+                return
+            if reply["status"] == "completed":
+                break
+            await asyncio.sleep(pause)
+            if look != self._looks:
+                return
+            pause = min(2 * pause, _RARELY)
         listed: list[dict[str, Any]] = reply.get("body") or []
         scope = self._config.robot
         stopped = any(
@@ -325,7 +365,7 @@ class Robot:
 def _references(payload: bytes) -> tuple[tuple[str, str], ...]:
     """Return which order a message is about, if it says so."""
     try:
-        found: Any = msgspec.json.decode(payload[:_LARGEST])
+        found: Any = msgspec.json.decode(payload[:LARGEST])
     except (msgspec.MsgspecError, RecursionError):
         return ()
     if not isinstance(found, dict):

@@ -9,8 +9,9 @@ from __future__ import annotations
 import asyncio
 import ssl
 import threading
-from collections.abc import AsyncGenerator, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
+from functools import partial
 from typing import Any
 
 import structlog
@@ -22,7 +23,7 @@ from rcp_gateway.api import PluginStore
 from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import ConfigError, RcpError
 from rcp_vda5050.config import RobotConfig, VdaConfig
-from rcp_vda5050.robot import Robot
+from rcp_vda5050.robot import LARGEST, Robot
 from rcp_vda5050.zone_intake import Fetch
 from rcp_vda5050.zone_store import load_rows
 
@@ -34,6 +35,7 @@ _KEEPALIVE = 10  # s
 _FAREWELL = 2.0  # s for the last message to arrive
 _QUEUED = 1000  # messages that wait for the event loop
 _BYTES = 16 << 20  # of these together
+_MORE = 1.25  # times as much for instant actions, which may be to stop
 _TOPICS = {
     "2.1": ("order", "instantActions"),
     "3.0": ("order", "instantActions", "zoneSet", "responses"),
@@ -63,6 +65,8 @@ class Client:
         self.online = False
         self._waiting = self._bytes = 0
         self._counting = threading.Lock()
+        self._dropping: set[str] = set()
+        """Topics of which messages were dropped since none waited, which the robot has been told."""
         self._mqtt = Mqtt(
             CallbackAPIVersion.VERSION2, client_id=f"rcp-{robot.manufacturer}-{robot.serial}"
         )
@@ -113,14 +117,24 @@ class Client:
 
     def _received(self, _client: Mqtt, _userdata: Any, message: MQTTMessage) -> None:
         size, topic = len(message.payload), message.topic.rpartition("/")[2]
-        if message.retain and topic in _AT_ONCE:
-            self._soon(self.robot.refuse_kept, topic)
-            return
+        take = partial(self.robot.take, topic, message.payload)
+        if size > LARGEST:  # which need not wait itself to be refused
+            take, size = partial(self.robot.refuse_large, topic, size), 0
+        elif message.retain and topic in _AT_ONCE:
+            take = partial(self.robot.take_kept, topic, message.payload)
+        room = _MORE if topic == "instantActions" else 1.0
         with self._counting:
-            if self._waiting >= _QUEUED or self._bytes + size > _BYTES:
+            full = self._waiting >= _QUEUED * room or self._bytes + size > _BYTES * room
+            if not full:
+                self._waiting, self._bytes = self._waiting + 1, self._bytes + size
+            elif topic in self._dropping:
                 return
-            self._waiting, self._bytes = self._waiting + 1, self._bytes + size
-        self._soon(self._take, topic, bytes(message.payload))
+            else:
+                self._dropping.add(topic)
+        if full:
+            self._soon(self.robot.refuse_dropped, topic)
+        else:
+            self._soon(self._take, topic, size, take)
 
     # In the event loop
 
@@ -135,11 +149,13 @@ class Client:
         self.online = False
         log.warning("broker_lost", broker=self._config.broker, topic=self._base, reason=why)
 
-    def _take(self, topic: str, payload: bytes) -> None:
+    def _take(self, topic: str, size: int, take: Callable[[], None]) -> None:
         with self._counting:
-            self._waiting, self._bytes = self._waiting - 1, self._bytes - len(payload)
+            self._waiting, self._bytes = self._waiting - 1, self._bytes - size
+            if not self._waiting:
+                self._dropping.clear()
         try:
-            self.robot.take(topic, payload)
+            take()
         except Exception:  # of one message: the next one may be to cancel
             log.exception("message_failed", topic=f"{self._base}/{topic}")
 

@@ -11,13 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from paho.mqtt.client import MQTTMessage
 
 from configuration import backend, configuration, key, table
 from plugins.vda5050.broker import MOSQUITTO, Cable, Master, broker, cable, master
 from plugins.vda5050.test_orders import action, order
 from rcp_gateway.testing import Client, serve
 from rcp_kernel.config.file import parse
-from rcp_vda5050.link import NotStoppedError, Running
+from rcp_vda5050.link import Link, NotStoppedError, Running
+from rcp_vda5050.robots import Client as RobotClient
 
 pytestmark = [
     pytest.mark.anyio,
@@ -503,3 +505,99 @@ async def test_what_the_broker_has_kept_is_not_carried_out(tmp_path: Path) -> No
         assert told["errors"][-1]["errorType"] == "validationError"
         assert "kept by the broker" in told["errors"][-1]["errorDescription"]
         assert told["orderId"] == ""
+
+
+async def test_of_what_the_broker_has_kept_the_robot_is_stopped_at_most(tmp_path: Path) -> None:
+    async with depot(tmp_path) as it:
+        it.cable.cut()
+        kinds = ("startPause", "dock", "cancelOrder")
+        actions = [action(f"kept-{kind}", kind) for kind in kinds]
+        await it.master.send("r1", "instantActions", kept=True, actions=actions)
+        told = await it.master.until(
+            "r1", lambda it: it["paused"] and [e for e in it["errors"] if "kept by" in _text(e)]
+        )
+        assert any("only startPause, cancelOrder of it" in _text(e) for e in told["errors"])
+        states = told.get("actionStates", []) + told.get("instantActionStates", [])
+        assert "kept-dock" not in {each["actionId"] for each in states}
+
+
+def _text(error: dict[str, Any]) -> str:
+    return error["errorDescription"]
+
+
+@pytest.fixture
+def clients(monkeypatch: pytest.MonkeyPatch) -> list[RobotClient]:
+    """Return the robots that are at the broker."""
+    found: list[RobotClient] = []
+    open_ = RobotClient.open
+
+    async def seen(client: RobotClient, rows: Any) -> None:
+        found.append(client)
+        await open_(client, rows)
+
+    monkeypatch.setattr(RobotClient, "open", seen)
+    return found
+
+
+def _receive(client: RobotClient, topic: str, payload: bytes) -> None:
+    """Have it receive a message at once, while the event loop does something else."""
+    message = MQTTMessage(topic=f"uagv/v2/acme/r1/{topic}".encode())
+    message.payload = payload
+    client._received(client._mqtt, None, message)  # noqa: SLF001 - as its thread does
+
+
+async def test_messages_that_are_dropped_are_told_and_a_pause_is_taken(
+    tmp_path: Path, clients: list[RobotClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_vda5050.robots._QUEUED", 8)
+    async with depot(tmp_path) as it:
+        (client,) = clients
+        refused: list[str] = []
+        refuse = client.robot.refuse_dropped
+        monkeypatch.setattr(
+            client.robot, "refuse_dropped", lambda topic: (refused.append(topic), refuse(topic))
+        )
+        for _ in range(20):
+            _receive(client, "order", b"{}")
+        pause = {"actions": [action("p", "startPause")]}
+        _receive(client, "instantActions", json.dumps(it.master.header("r1") | pause).encode())
+        told = await it.master.until(
+            "r1", lambda it: it["paused"] and any("dropped" in _text(e) for e in it["errors"])
+        )
+        assert told["errors"][-1]["errorReferences"][0]["referenceValue"] == "order"
+        assert refused == ["order"]
+        for _ in range(9):
+            _receive(client, "order", b"{}")
+        await asyncio.sleep(0)
+        await it.master.until("r1", lambda _: refused == ["order", "order"])
+
+
+async def test_a_message_that_is_too_large_is_told(
+    tmp_path: Path, clients: list[RobotClient]
+) -> None:
+    async with depot(tmp_path) as it:
+        _receive(clients[0], "order", bytes(17 << 20))
+        told = await it.master.until("r1", lambda it: it["errors"])
+        assert f"{17 << 20} bytes are too many" in _text(told["errors"][-1])
+
+
+async def test_a_look_at_the_estop_that_fails_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_vda5050.robot._LOOK_AGAIN", 0.05)
+    async with depot(tmp_path) as it:
+        send, failed = Link.send, list[str]()
+
+        def failing(link: Link, type_: str, path: str | None, *rest: Any, **more: Any) -> Running:
+            if path != "/system/robots" or len(failed) == 2:
+                return send(link, type_, path, *rest, **more)
+            failed.append(path)
+            running = Running(link, None)
+            running.hear({"status": "failed", "error": {"code": "internal", "message": "no"}})
+            return running
+
+        monkeypatch.setattr(Link, "send", failing)
+        await it.estop()
+        await it.master.until("r1", lambda it: it["safetyState"]["eStop"] == "REMOTE")
+        assert len(failed) == 2
+        await it.estop(reset=True)
