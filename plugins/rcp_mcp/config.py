@@ -45,6 +45,8 @@ class McpConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     """Maximum number of sessions of clients with older protocol versions."""
     idle: Annotated[float, Meta(gt=0)] = 1800.0
     """Time without a request after which such a session ends."""
+    subscriptions: Annotated[int, Meta(ge=1)] = 1000
+    """Maximum number of resources that a client listens to; they need not exist."""
 
 
 def check(config: McpConfig) -> None:

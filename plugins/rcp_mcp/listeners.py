@@ -38,7 +38,6 @@ log = structlog.get_logger("rcp.mcp")
 _LOOK = 0.25  # s between checks of the tree
 _RATE = 1.0  # Hz, maximum rate of notifications per resource
 _BACKLOG = 256  # events
-_MOST = 1000  # resources of one listener, which need not exist
 _LONGEST = 2048  # characters of a URI
 Emit = Callable[[ServerEvent], None]
 Open = Callable[[Emit], Callable[[], None]]
@@ -131,9 +130,11 @@ class _Bus:
 class ListenerRegistry:
     """All listening clients."""
 
-    def __init__(self, client_api: ClientApi, catalogue: Catalogue) -> None:
+    def __init__(self, client_api: ClientApi, catalogue: Catalogue, most: int) -> None:
         self._client_api = client_api
         self._catalogue = catalogue
+        self._most = most
+        """Resources of one listener, which need not exist."""
         self._ears: dict[object, ResourceListener] = {}
         self._handlers: set[ListenHandler] = set()
         self._looking: asyncio.Task[None] | None = None
@@ -142,10 +143,13 @@ class ListenerRegistry:
     async def listen(
         self, ctx: Context, params: types.SubscriptionsListenRequestParams
     ) -> types.SubscriptionsListenResult:
-        """Serve `subscriptions/listen` until the client leaves."""
+        """Serve `subscriptions/listen` until the client leaves.
+
+        :raises MCPError: it lists too many resources.
+        """
         session = session_of(ctx)
         uris = frozenset(params.notifications.resource_subscriptions or ())
-        _check(uris)
+        self._check(uris)
 
         def open_(deliver: Emit) -> Callable[[], None]:
             key = object()
@@ -186,7 +190,7 @@ class ListenerRegistry:
         :raises MCPError: the client has too many.
         """
         ear = self._ears.get(ctx.session._connection)  # noqa: SLF001  # pyright: ignore[reportPrivateUsage] - as above
-        _check((ear.uris if ear is not None else frozenset()) | {params.uri})
+        self._check((ear.uris if ear is not None else frozenset()) | {params.uri})
         self._change(ctx, add=params.uri)
         return types.EmptyResult()
 
@@ -196,6 +200,21 @@ class ListenerRegistry:
         """Serve `resources/unsubscribe`."""
         self._change(ctx, remove=params.uri)
         return types.EmptyResult()
+
+    def _check(self, uris: frozenset[str]) -> None:
+        """Check what a client listens to.
+
+        :raises MCPError: it is too much.
+        """
+        if len(uris) > self._most:
+            text = (
+                f"a client listens to at most {self._most} resources, and these are {len(uris)}: list fewer, "
+                "unsubscribe from some first, or raise `subscriptions` in `[plugins.mcp]` of the gateway"
+            )
+            raise MCPError(types.INVALID_PARAMS, text)
+        if any(len(uri) > _LONGEST for uri in uris):
+            text = f"a URI has at most {_LONGEST} characters"
+            raise MCPError(types.INVALID_PARAMS, text)
 
     def _change(self, ctx: Context, **change: str) -> None:
         ear = self._ears.get(ctx.session._connection)  # noqa: SLF001  # pyright: ignore[reportPrivateUsage] - as above
@@ -230,19 +249,6 @@ class ListenerRegistry:
             sender.cancel()
         for key in list(self._ears):
             self._remove(key)
-
-
-def _check(uris: frozenset[str]) -> None:
-    """Check what a client listens to.
-
-    :raises MCPError: it is too much.
-    """
-    if len(uris) > _MOST:
-        text = f"a client listens to at most {_MOST} resources: unsubscribe from some first"
-        raise MCPError(types.INVALID_PARAMS, text)
-    if any(len(uri) > _LONGEST for uri in uris):
-        text = f"a URI has at most {_LONGEST} characters"
-        raise MCPError(types.INVALID_PARAMS, text)
 
 
 async def _send(connection: Any, next_: Callable[[], Awaitable[ServerEvent]]) -> None:

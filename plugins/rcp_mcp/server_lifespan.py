@@ -28,7 +28,7 @@ async def open_mcp(
     """Serve the tree, followed by the offers in `more`, through the listener while entered."""
     check(config)
     catalogue = Catalogue(config, client_api)
-    listening = ListenerRegistry(client_api, catalogue)
+    listening = ListenerRegistry(client_api, catalogue, config.subscriptions)
     logs = Logs()
     tree = Tree(config, client_api, CommandTools(config, client_api, catalogue, logs))
     server = McpServer("RCP gateway", [tree, *more], listening, logs, config.page)

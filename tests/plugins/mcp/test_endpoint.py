@@ -12,7 +12,7 @@ import httpx
 import pytest
 
 from expiring import brief_key
-from plugins.mcp.rig import BOUND, OPERATOR, Caller, Site, caller, site
+from plugins.mcp.rig import BOUND, EVERY_TOOL, OPERATOR, Caller, Site, caller, site
 from rcp_kernel.model import Resource
 
 INITIALIZE: dict[str, Any] = {
@@ -251,23 +251,49 @@ async def test_an_older_client_hears_of_changes_and_values_too(
         assert await telling == ["resources/updated"]
 
 
-async def test_no_client_listens_to_resources_without_end(
-    older: Callable[[], Older], monkeypatch: pytest.MonkeyPatch
+async def test_no_client_listens_to_resources_without_end() -> None:
+    more = EVERY_TOOL + "subscriptions = 2\n"
+    async with (
+        site(mcp=more) as made,
+        httpx.AsyncClient(headers=HEADERS, trust_env=False, timeout=BOUND) as http,
+    ):
+        client = Older(made.url, http)
+        await client.open()
+
+        async def listening(uri: str) -> str:
+            call = {"id": 2, "method": "resources/subscribe", "params": {"uri": uri}}
+            return (await client.post(call)).text
+
+        for name in "ab":
+            assert "error" not in await listening(f"rcp://alpha/sensor/{name}")
+        assert "error" not in await listening("rcp://alpha/sensor/a")  # it does already
+        refused = await listening("rcp://alpha/sensor/c")
+        assert "at most 2 resources, and these are 3" in refused
+        assert "raise `subscriptions` in `[plugins.mcp]`" in refused
+
+
+async def test_a_uri_that_is_listened_to_is_not_longer_than_others(
+    older: Callable[[], Older],
 ) -> None:
-    monkeypatch.setattr("rcp_mcp.listeners._MOST", 2)
     client = older()
     await client.open()
+    call = {"id": 2, "method": "resources/subscribe", "params": {"uri": "rcp://" + "x" * 5000}}
+    assert "at most 2048 characters" in (await client.post(call)).text
 
-    async def listening(uri: str) -> str:
-        call = {"id": 2, "method": "resources/subscribe", "params": {"uri": uri}}
-        return (await client.post(call)).text
 
-    for name in "ab":
-        assert "error" not in await listening(f"rcp://alpha/sensor/{name}")
-    assert "error" not in await listening("rcp://alpha/sensor/a")  # it does already
-    assert "unsubscribe from some first" in await listening("rcp://alpha/sensor/c")
-    monkeypatch.undo()
-    assert "at most 2048 characters" in await listening("rcp://" + "x" * 5000)
+async def test_a_listen_to_too_many_resources_says_how_many_are_allowed() -> None:
+    async with (
+        site(mcp=EVERY_TOOL + "subscriptions = 2\n") as made,
+        caller(made) as client,
+        asyncio.timeout(BOUND),
+    ):
+        uris = [f"rcp://alpha/sensor/{name}" for name in "abc"]
+        body = client.body(
+            "subscriptions/listen", {"notifications": {"resourceSubscriptions": uris}}
+        )
+        headers = {"mcp-method": "subscriptions/listen"}
+        response = await client.http.post(client.url, json=body, headers=headers)
+        assert "at most 2 resources, and these are 3" in response.text
 
 
 async def test_a_session_reads_on_after_a_cut_and_no_other_reads_that(
