@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pytest
 
+import rcp_gateway
 import rcp_kernel
+import rcp_requests
+import rcp_streams
 from plugins.client.test_codegen import node
 from rcp_kernel.errors import BY_CODE
 
@@ -51,9 +54,12 @@ def test_no_remedy_speaks_of_messages_and_each_error_has_one() -> None:
 
 
 def sources() -> Iterator[Path]:
-    """Return the kernel's modules, but for its test kit."""
-    root = Path(rcp_kernel.__file__).parent
-    return (file for file in root.rglob("*.py") if "testing" not in file.relative_to(root).parts)
+    """Return the modules of the core, but for its test kit."""
+    for package in (rcp_kernel, rcp_streams, rcp_requests, rcp_gateway):
+        root = Path(package.__path__[0])
+        for file in root.rglob("*.py"):
+            if "testing" not in file.relative_to(root).parts:
+                yield file
 
 
 def remedies(file: Path) -> Iterator[tuple[str, str]]:
