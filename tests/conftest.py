@@ -71,6 +71,15 @@ def garbage_of_a_file() -> Generator[None]:
     gc.freeze()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def garbage_of_a_run() -> Generator[None]:
+    """Look once at what has become garbage since: what it has left open is told with the last test."""
+    yield
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()  # nothing is left to be looked at when pytest ends
+
+
 @contextmanager
 def _own_logging() -> Generator[None]:
     known = structlog.get_config() if structlog.is_configured() else None
