@@ -59,13 +59,24 @@ class Cable:
         self.port = 0
         self._writers: set[asyncio.StreamWriter] = set()
         self._news = asyncio.Condition()
+        self._serving: set[asyncio.Task[None]] = set()
+        self._ended = False
 
-    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Pass on one connection."""
+        task = asyncio.create_task(self._serve(reader, writer))
+        self._serving.add(task)
+        task.add_done_callback(self._serving.discard)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
             back, forth = await asyncio.open_connection("127.0.0.1", self._port)
         except OSError:
             writer.close()
+            return
+        if self._ended:
+            writer.close()
+            forth.close()
             return
         async with self._news:
             self._writers |= {writer, forth}
@@ -80,6 +91,18 @@ class Cable:
         """Wait for so many connections."""
         async with asyncio.timeout(BOUND), self._news:
             await self._news.wait_for(lambda: len(self._writers) >= 2 * count)
+
+    async def end(self) -> None:
+        """Break every connection, those that are being made too, and wait until all are closed."""
+        self._ended = True
+        async with asyncio.timeout(BOUND):
+            while True:
+                for _ in range(5):  # a connection that was just accepted takes that many turns
+                    await asyncio.sleep(0)
+                if not self._serving:
+                    return
+                self.cut()
+                await asyncio.wait(self._serving)
 
     def cut(self) -> None:
         """Break every connection."""
@@ -101,13 +124,13 @@ async def _pass(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> N
 async def cable(port: int) -> AsyncGenerator[Cable]:
     """Lay a cable to a broker."""
     made = Cable(port)
-    server = await asyncio.start_server(made.serve, "127.0.0.1", 0)
+    server = await asyncio.start_server(made.accept, "127.0.0.1", 0)
     made.port = server.sockets[0].getsockname()[1]
     try:
         yield made
     finally:
         server.close()
-        made.cut()
+        await made.end()
 
 
 class Master:
