@@ -214,8 +214,9 @@ def test_on_the_ground_a_mission_must_begin_with_a_take_off() -> None:
 
 def test_a_mission_with_an_item_it_does_not_know_is_refused() -> None:
     station = Station()
-    assert upload(station, [item(0, 16), item(1, 2999)][:2]) == mav.MAV_MISSION_UNSUPPORTED
-    assert station.vehicle.flight.mission.plan.items == []
+    assert upload(station, [item(0, 16), item(1, 2999)]) == mav.MAV_MISSION_UNSUPPORTED
+    # An ArduPilot has stored what came before it: home.
+    assert [one.command for one in station.vehicle.flight.mission.plan.items] == [16]
 
 
 def test_outside_the_fence_it_comes_back_and_a_target_there_is_refused() -> None:
