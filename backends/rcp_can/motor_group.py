@@ -162,7 +162,11 @@ def _tick(axis: Axis, dt: float) -> None:
             if axis.faults.get(_BROKEN) is None:
                 log.exception("profile_failed", motor=axis.name)
                 axis.fault(_BROKEN, text)
-        how = "it was stopped" if told else "it could not be told to stop"
+        how = (
+            "it was stopped"
+            if told
+            else "its stop could not be sent; use the robot's own emergency stop"
+        )
         with suppress(Exception):
             axis.forget(DeviceTimeout(f"motor '{axis.name}': {text}, and {how}"))
 

@@ -259,7 +259,7 @@ async def test_a_motor_that_cannot_be_told_to_stop_is_not_said_to_be_stopped() -
             raise KeyError("a fault of the profile")
 
         rig.axis.drive.stop = rig.axis.drive.poll = fail
-        with pytest.raises(DeviceTimeout, match="could not be told to stop"):
+        with pytest.raises(DeviceTimeout, match="stop could not be sent"):
             await asyncio.wait_for(moving, 20)
 
 

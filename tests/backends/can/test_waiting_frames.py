@@ -80,7 +80,7 @@ async def test_what_a_device_was_to_do_is_not_done_long_after(
         async def begin() -> None:
             for on in (0, 1, 0, 1, 0, 1):
                 await rig.write("actuator/lift/Lamp", {"on": on})
-            await asyncio.sleep(20)
+            await asyncio.Event().wait()  # until it is cancelled
 
         async with stopped_in_a_jam(rig, begin) as sent:
             assert 514 not in [m.arbitration_id for m in sent]
@@ -101,7 +101,7 @@ async def test_what_a_device_was_to_do_does_not_follow_its_safe_value(tmp_path: 
             for speed in (100, 200, 300, 400):
                 await rig.write("actuator/lift/Lift", {"speed": speed})
             await rig.write("actuator/lift/Lamp", {"on": 1})
-            await asyncio.sleep(20)
+            await asyncio.Event().wait()  # until it is cancelled
 
         async with stopped_in_a_jam(rig, begin) as sent:
             lift = [bytes(m.data).hex() for m in sent if m.arbitration_id == 513]
