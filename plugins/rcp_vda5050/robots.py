@@ -99,6 +99,9 @@ class Client:
                     farewell.wait_for_publish(_FAREWELL)
             self._mqtt.disconnect()
             self._mqtt.loop_stop()
+            if self._mqtt.socket() is not None:  # its thread was connecting again just then
+                self._mqtt.disconnect()
+            self._mqtt._reset_sockets()  # noqa: SLF001 - which paho leaves to the garbage collection
 
         await asyncio.to_thread(leave)
 

@@ -13,7 +13,7 @@ import pytest
 
 from rcp_gateway.client_kinds import AdapterKind
 from rcp_gateway.testing._serve import OPERATOR, Served, serve
-from rcp_gateway.testing._suite import Suite, eventually, proves
+from rcp_gateway.testing._suite import BOUND, Suite, eventually, proves
 from rcp_kernel.config.file import decode_table, parse
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
@@ -123,6 +123,8 @@ class AdapterSuite(Suite):
         config = msgspec.structs.replace(parse(_CONFIG, "test"), plugins=table)
         robot = BackendKind("robot", _NoOptions, _open_robot)
         async with serve(config, robot, adapters=(self.kind,)) as served:
+            async with asyncio.timeout(BOUND):  # a busy machine opens to clients before
+                await served.supervisor.settled.wait()
             yield AdapterGateway(served)
 
     @pytest.fixture

@@ -76,6 +76,7 @@ async def test_damiao_motor_reads_what_we_wrote_and_we_what_it_stored() -> None:
             await rig.ordered(rig.twin.boot)
             dumped = await rig.ran("service/m/dump_settings")
             assert "OT_Value 90\n" in dumped["text"]
+            await rig.until(lambda: rig.axis.resting)
             await rig.ran("service/m/set_node", {"node": 5, "reply_id": 0x15})
             moved = control.add_motor(5, 0x15, "4310")
             assert await asyncio.to_thread(moved.get_register, 8) == 5

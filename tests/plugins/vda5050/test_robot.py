@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import threading
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 from paho.mqtt.client import MQTTMessage
 
 from configuration import backend, configuration, key, table
-from plugins.vda5050.broker import MOSQUITTO, Cable, Master, broker, cable, master
+from plugins.vda5050.broker import BOUND, MOSQUITTO, Cable, Master, broker, cable, master
 from plugins.vda5050.test_orders import action, order
 from rcp_gateway.testing import Client, serve
 from rcp_kernel.config.file import parse
@@ -601,3 +602,34 @@ async def test_a_look_at_the_estop_that_fails_is_repeated(
         await it.master.until("r1", lambda it: it["safetyState"]["eStop"] == "REMOTE")
         assert len(failed) == 2
         await it.estop(reset=True)
+
+
+async def test_a_robot_that_leaves_while_it_connects_again_is_gone_at_once(
+    tmp_path: Path, clients: list[RobotClient], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with depot(tmp_path) as it:
+        (client,) = clients
+        mqtt = client._mqtt  # noqa: SLF001 - the race is in its thread
+        connecting, leaving = threading.Event(), threading.Event()
+        stop = mqtt.loop_stop
+
+        def pause(*_: Any) -> None:
+            connecting.set()
+            leaving.wait(BOUND)
+
+        def stopping() -> Any:
+            leaving.set()
+            return stop()
+
+        mqtt.on_pre_connect = pause
+        monkeypatch.setattr(mqtt, "loop_stop", stopping)
+        it.cable.cut()
+        assert await asyncio.to_thread(connecting.wait, BOUND)
+        heard = it.master.heard["r1", "connection"]
+        wills = [each["connectionState"] for each in heard].count("CONNECTIONBROKEN")
+        await client.close()
+        assert mqtt.socket() is None
+        await it.master.send("r1", "state", marker=True)  # what the broker has to say comes before
+        await it.master.until("r1", lambda it: "marker" in it)
+        states = [each["connectionState"] for each in heard]
+        assert states.count("CONNECTIONBROKEN") == max(wills, 1), states  # that of the cut
