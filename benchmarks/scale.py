@@ -86,7 +86,7 @@ async def growth(resources: int, subscriptions: int) -> tuple[float, float, floa
         for i in range(resources):
             host.publish(f"sensor/group{i % 100}/pose{i}", value)
         memory = (rss() - before) / resources
-        principal = server.kernel.identities.anonymous()
+        principal = server.gateway.identities.anonymous()
         connection = server.client_api.connect(principal, Encoding.JSON, lambda: None)
         for i in range(subscriptions):
             path = f"/sensor/group{i % 100}/pose{i}"
@@ -115,7 +115,7 @@ async def session_memory(count: int) -> float:
     """Return bytes for a connected session with one subscription."""
     async with gateway() as (server, host):
         declare(host, 1)
-        principal = server.kernel.identities.anonymous()
+        principal = server.gateway.identities.anonymous()
         before = rss()
         kept = []
         for _ in range(count):

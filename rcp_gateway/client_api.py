@@ -171,7 +171,7 @@ class ClientApi:
             issuers=tuple(one.url for one in identities.issuers if one.discovery),
         )
 
-    def shelf(self, table: str) -> PluginStore:
+    def store(self, table: str) -> PluginStore:
         """Return one of the plugin's own tables in the gateway's store."""
         return PluginStore(self._parts.store, f"{self.name}.{table}")
 

@@ -2,7 +2,7 @@
 
 Each is created once, in this order, and receives only parts created before it. A part that must
 notify a later one has a list of listeners, to which the later one is added. What depends on features
-is set afterwards, by `Kernel`: the handler of delegated requests, accounts, authenticators and
+is set afterwards, by `Gateway`: the handler of delegated requests, accounts, authenticators and
 observers of commands.
 """
 
@@ -16,7 +16,7 @@ from rcp_kernel.access.acl import Rules
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.scope_rights import ScopeRights
-from rcp_kernel.access.sights import Sights
+from rcp_kernel.access.tree_views import TreeViews
 from rcp_kernel.access.visibility import Visibility
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.file import BackendConfig, GatewayConfig
@@ -28,8 +28,8 @@ from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.services import FeatureServices
+from rcp_kernel.safety.deadman import Deadman
 from rcp_kernel.safety.partners import Partners
-from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.accounting import SessionAccounting
@@ -88,9 +88,9 @@ class Core:
     def _make_tree(self) -> None:
         self.registry = registry = Registry(self.clock)
         self.scopes = ScopeRights(registry)
-        self.sights = Sights(registry, self.turns)
+        self.tree_views = TreeViews(registry, self.turns)
         self.hub = Hub(registry, self.loop, self.settings.limits.pattern_value)
-        self.visibility = Visibility(registry, self.sights)
+        self.visibility = Visibility(registry, self.tree_views)
         self.links = SubscriptionLinker(self.hub, self.turns)
         self.changes = ViewChanges(registry)
         self.supervisors: list[BackendSupervisor] = []
@@ -141,7 +141,7 @@ class Core:
             clock=self.clock,
         )
         # What they may see is computed in steps from now on, so that a stop need not wait for it.
-        look = self.sights.look
+        look = self.tree_views.look
         for listeners in (self.sessions.on_begin, self.sessions.on_renewal):
             listeners.append(lambda session: look(session.rights))
         self.delegation = Delegation(self.identities, self.sessions)

@@ -17,7 +17,7 @@ from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.sessions.outbound import Outbound
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.spi import RobotLink
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 from rcp_kernel.tree.registry import Registry
 from rcp_requests.journal import CommandJournal
 from rcp_store.store import Store
@@ -234,7 +234,7 @@ class Exposition:
         return [([name], count) for name, count in sums.items()]
 
 
-def _link_of(supervisor: BackendSupervisor, unit: StopGroup) -> RobotLink | None:
+def _link_of(supervisor: BackendSupervisor, unit: RobotUnit) -> RobotLink | None:
     """Return the traffic of the link with a robot's own gateway, if its backend reports it."""
     backend = supervisor.backend
     if backend is None or unit.robot is None or not supervisor.has_gateways:
@@ -246,7 +246,7 @@ def _link_of(supervisor: BackendSupervisor, unit: StopGroup) -> RobotLink | None
         return None
 
 
-def _is_up(robot: StopGroup) -> bool:
+def _is_up(robot: RobotUnit) -> bool:
     return robot.availability in ("ready", "degraded")
 
 

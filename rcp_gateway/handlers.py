@@ -55,7 +55,9 @@ class Handlers:
         self.read = self._make_read()
         self.subscribe = self._make_subscribe()
         self.ping = PingHandler(core.counts)
-        self.discovery = Discovery(core.registry, core.sights, features.describe, features.frames)
+        self.discovery = Discovery(
+            core.registry, core.tree_views, features.describe, features.frames
+        )
         self._fill_router(self._make_execute(estop), self._make_write())
 
     def _fill_router(self, execute: ExecuteHandler, write: WriteHandler) -> None:
@@ -83,7 +85,7 @@ class Handlers:
             core.inflight,
             core.counts,
             core.turns,
-            core.sights,
+            core.tree_views,
             views=system.views,
             pages=system.pages,
             filters=system.filters,

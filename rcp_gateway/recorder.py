@@ -107,7 +107,7 @@ class Recorder(Listener):
         """Record the gap for a step of a command, which is then not confirmed."""
         super().missed_step(command, step, error)
         command.unrecorded = True
-        requester = command.asker
+        requester = command.requester
         self._missed(
             Event(
                 what="execute" if step.status == "accepted" else "command",

@@ -13,7 +13,7 @@ from rcp_kernel.safety.loss import tell_cut_off
 from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.command import Command
-from rcp_kernel.tree.entry import BEFORE, Entry, Owner, StopGroup
+from rcp_kernel.tree.entry import BEFORE, Entry, Owner, RobotUnit
 from rcp_requests.journal import CommandJournal
 
 __all__ = ["LossRecovery"]
@@ -33,7 +33,7 @@ class LossRecovery:
         self._journal = journal
         self._stops = stops
         self._events = events
-        self._running: dict[StopGroup, asyncio.Task[None]] = {}
+        self._running: dict[RobotUnit, asyncio.Task[None]] = {}
         self._cut_off: list[Command] = []
         """Commands of an earlier gateway whose loss policy has not been reported yet."""
 
@@ -57,7 +57,7 @@ class LossRecovery:
             self._journal.keep(command)
         self._cut_off.clear()
 
-    def settle(self, unit: StopGroup) -> None:
+    def settle(self, unit: RobotUnit) -> None:
         """Stop a latched robot that is available again; otherwise settle its lost commands."""
         if self._owner.backend is None:
             return
@@ -69,7 +69,7 @@ class LossRecovery:
             self._running[unit] = task
             task.add_done_callback(partial(self._ended, unit))
 
-    def _ended(self, unit: StopGroup, task: asyncio.Task[None]) -> None:
+    def _ended(self, unit: RobotUnit, task: asyncio.Task[None]) -> None:
         self._running.pop(unit, None)
         if not task.cancelled():  # a command may have been lost since the task looked last
             self.settle(unit)
@@ -79,7 +79,7 @@ class LossRecovery:
         for recovery in self._running.values():
             recovery.cancel()
 
-    async def _recover(self, unit: StopGroup) -> None:
+    async def _recover(self, unit: RobotUnit) -> None:
         """Apply a robot's policy for a lost command, unless it has a new one."""
         wait = _FIRST_RETRY
         while (lost := unit.lost) is not None and (backend := self._owner.backend) is not None:

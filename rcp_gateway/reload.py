@@ -52,26 +52,26 @@ async def apply(server: Server, prepared: Prepared) -> None:
     Rights change at once. Backends change one reload after the other: a backend that takes long to
     close must not delay the revocation of a key, and reloads must not be applied out of order.
     """
-    kernel, turn = server.kernel, server.reloading
+    gateway, turn = server.gateway, server.reloading
     turn.newest = prepared
-    kernel.reconfigure(prepared.config, prepared.features)
+    gateway.reconfigure(prepared.config, prepared.features)
     async with turn.lock:
         if turn.newest is not prepared:
-            kernel.event_bus.note("reload", principal=None, outcome="superseded")
+            gateway.event_bus.note("reload", principal=None, outcome="superseded")
             return
         new = prepared.config
         gone = [
             supervisor for supervisor in server.supervisors if supervisor.config not in new.backends
         ]
         await retire(server, gone)
-        if turn.newest is not prepared or kernel.shutdown.begun:
-            kernel.event_bus.note("reload", principal=None, outcome="superseded")
+        if turn.newest is not prepared or gateway.shutdown.begun:
+            gateway.event_bus.note("reload", principal=None, outcome="superseded")
             return
         kept = {supervisor.config.name for supervisor in server.supervisors}
         for backend, table in zip(new.backends, prepared.backends, strict=True):
             if backend.name not in kept:
                 start_backend(server, prepared, backend, table)
-    kernel.event_bus.note(
+    gateway.event_bus.note(
         "reload", principal=None, backends=[supervisor.name for supervisor in server.supervisors]
     )
     log.info(

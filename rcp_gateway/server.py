@@ -13,7 +13,7 @@ import structlog
 from rcp_gateway.client_api import ClientApi
 from rcp_gateway.client_kinds import AdapterKind, TransportKind
 from rcp_gateway.features import ActiveFeature, active
-from rcp_gateway.kernel import Kernel
+from rcp_gateway.gateway import Gateway
 from rcp_gateway.log import Recent
 from rcp_gateway.plugins import Missing, Plugins
 from rcp_gateway.status import StatusReport
@@ -68,7 +68,7 @@ class Reloading:
 class Server(msgspec.Struct, frozen=True):
     """A running gateway."""
 
-    kernel: Kernel
+    gateway: Gateway
     client_api: ClientApi
     status: StatusReport
     supervisors: list[BackendSupervisor]
@@ -138,7 +138,7 @@ async def running(
         if path is not None:
             store = DiskStore(path, loop)
             stack.callback(store.close)
-        kernel = Kernel(
+        gateway = Gateway(
             config,
             loop,
             store=store,
@@ -146,36 +146,36 @@ async def running(
             clock=clock,
             features=prepared.features,
         )
-        client_api, status = kernel.client_api, kernel.status
-        server = Server(kernel, client_api, status, kernel.supervisors, {})
-        _keep_record(stack, kernel)
-        stack.callback(kernel.system.close)
+        client_api, status = gateway.client_api, gateway.status
+        server = Server(gateway, client_api, status, gateway.supervisors, {})
+        _keep_record(stack, gateway)
+        stack.callback(gateway.system.close)
         status.start()
         stack.callback(status.stop)
-        stack.push_async_callback(kernel.close)
-        await stack.enter_async_context(kernel.features.running())
+        stack.push_async_callback(gateway.close)
+        await stack.enter_async_context(gateway.features.running())
         await stack.enter_async_context(_backends(server, prepared))
         first = loop.time() + _FIRST_OPEN
         await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)
         _report_missing(plugins.missing, status)
         _report_unused(status, plugins.points["plugins"])
-        await _settled(kernel.supervisors, first - loop.time())
+        await _settled(gateway.supervisors, first - loop.time())
         await _open_all(
             stack, client_api, prepared.transports, plugins.transports, status.transports
         )
-        stack.push_async_callback(_rest, kernel)
+        stack.push_async_callback(_rest, gateway)
         yield server
 
 
-def _keep_record(stack: AsyncExitStack, kernel: Kernel) -> None:
-    name = kernel.settings.config.name
-    kernel.event_bus.note("start", principal=None, name=name, version=gateway_version())
-    kernel.journal.tell_cut_off()
-    kernel.resume.start()
+def _keep_record(stack: AsyncExitStack, gateway: Gateway) -> None:
+    name = gateway.settings.config.name
+    gateway.event_bus.note("start", principal=None, name=name, version=gateway_version())
+    gateway.journal.tell_cut_off()
+    gateway.resume.start()
 
     def stop() -> None:
-        kernel.resume.stop()
-        kernel.event_bus.note("stop", principal=None)
+        gateway.resume.stop()
+        gateway.event_bus.note("stop", principal=None)
 
     stack.callback(stop)
 
@@ -234,7 +234,7 @@ async def _settled(supervisors: Sequence[BackendSupervisor], within: float) -> N
 
 def start_backend(server: Server, prepared: Prepared, config: BackendConfig, table: Any) -> None:
     """Start the life of one backend."""
-    supervisor = server.kernel.supervise(config)
+    supervisor = server.gateway.supervise(config)
     server.supervisors.append(supervisor)
     missing = prepared.plugins.is_missing("backends", config.use)
     if missing is not None:
@@ -255,27 +255,27 @@ async def stop_backend(server: Server, supervisor: BackendSupervisor) -> None:
             log.error("backend_does_not_close", backend=supervisor.name)
             task.cancel()
     for entry in supervisor.entries.values():
-        server.kernel.deadman.begin(entry)  # nothing could stop the actuator later
+        server.gateway.deadman.begin(entry)  # nothing could stop the actuator later
     supervisor.withdraw(*list(supervisor.entries))
     if supervisor in server.supervisors:
         server.supervisors.remove(supervisor)
 
 
-async def _rest(kernel: Kernel) -> None:
+async def _rest(gateway: Gateway) -> None:
     """Bring all robots without gateways of their own to rest, before anything closes."""
-    kernel.shutdown.begin()
-    ours = [one for one in kernel.supervisors if not one.has_gateways]
-    _cancel_motion_writes(kernel, ours)
+    gateway.shutdown.begin()
+    ours = [one for one in gateway.supervisors if not one.has_gateways]
+    _cancel_motion_writes(gateway, ours)
     halts = _halts(ours)
-    await kernel.commands.close()
+    await gateway.commands.close()
     await _halted(halts)
 
 
-def _cancel_motion_writes(kernel: Kernel, supervisors: list[BackendSupervisor]) -> None:
+def _cancel_motion_writes(gateway: Gateway, supervisors: list[BackendSupervisor]) -> None:
     for supervisor in supervisors:
         for entry in supervisor.entries.values():
             if entry.moves:
-                kernel.deadman.cancel_writes(entry)
+                gateway.deadman.cancel_writes(entry)
 
 
 async def retire(server: Server, supervisors: list[BackendSupervisor]) -> None:
@@ -283,7 +283,7 @@ async def retire(server: Server, supervisors: list[BackendSupervisor]) -> None:
     for supervisor in supervisors:
         supervisor.retire()
     ours = [one for one in supervisors if not one.has_gateways]
-    _cancel_motion_writes(server.kernel, ours)
+    _cancel_motion_writes(server.gateway, ours)
     await _halted(_halts(ours))
     await asyncio.gather(*(stop_backend(server, supervisor) for supervisor in supervisors))
 

@@ -14,7 +14,7 @@ from rcp_gateway.log import Recent
 from rcp_gateway.supervisor import BackendSupervisor
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.identities import Identities
-from rcp_kernel.access.sights import Hidden, Sights
+from rcp_kernel.access.tree_views import Hidden, TreeViews
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.version import gateway_version
@@ -23,7 +23,7 @@ from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.outbound import Outbound
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.tree.entry import StopGroup, is_system
+from rcp_kernel.tree.entry import RobotUnit, is_system
 from rcp_kernel.tree.registry import Registry
 from rcp_requests.journal import CommandJournal
 from rcp_store.store import Store
@@ -45,7 +45,7 @@ class StatusReport:
         *,
         registry: Registry,
         hub: Hub,
-        sights: Sights,
+        tree_views: TreeViews,
         visibility: Visibility,
         identities: Identities,
         sessions: Sessions,
@@ -59,7 +59,7 @@ class StatusReport:
         self._recent = recent
         self._registry = registry
         self._hub = hub
-        self.sights = sights
+        self.tree_views = tree_views
         self._visibility = visibility
         self._identities = identities
         self._sessions = sessions
@@ -157,14 +157,14 @@ class StatusReport:
     def _count_resources(self, rights: Rights | None) -> int:
         if rights is None:
             return len(self._registry.entries)
-        return self.sights.look(rights).visible
+        return self.tree_views.look(rights).visible
 
     def _hides(self, supervisor: BackendSupervisor, rights: Rights) -> Hidden:
-        return self.sights.look(rights).hidden_of(supervisor.tenant, supervisor.name)
+        return self.tree_views.look(rights).hidden_of(supervisor.tenant, supervisor.name)
 
     def _mentions_hidden(self, supervisor: BackendSupervisor, rights: Rights, text: str) -> bool:
-        sight = self.sights.look(rights)
-        return sight.mentions_hidden(supervisor.tenant, supervisor.name, text)
+        view = self.tree_views.look(rights)
+        return view.mentions_hidden(supervisor.tenant, supervisor.name, text)
 
     def _describe_backend(
         self, supervisor: BackendSupervisor, rights: Rights | None
@@ -187,7 +187,7 @@ class StatusReport:
             facts[key] = self._shown(supervisor, rights, facts[key])
         return facts
 
-    def sees(self, rights: Rights, robot: StopGroup) -> bool:
+    def sees(self, rights: Rights, robot: RobotUnit) -> bool:
         """Return whether a principal may know of a robot."""
         if not robot.own:  # it has never been connected
             return self._visibility.sees_whole(rights, robot.tenant)

@@ -39,7 +39,7 @@ from rcp_kernel.spi import (
     Publication,
     RobotFacts,
 )
-from rcp_kernel.tree.entry import Availability, Entry, StopGroup
+from rcp_kernel.tree.entry import Availability, Entry, RobotUnit
 from rcp_kernel.tree.latches import Latch, Latches
 from rcp_kernel.tree.registry import Registry
 from rcp_requests.commands import Commands
@@ -83,8 +83,8 @@ class BackendSupervisor(BackendStatus):
         self._recovery = LossRecovery(self, journal, stops, events)
         self.call_soon = ThreadCalls(loop, hub.flush_scheduler, self._call_failed).add
         """Runs a function on the event loop, from any thread."""
-        self._units: dict[str, StopGroup] = {}
-        self.whole = StopGroup(self, self._latches)
+        self._units: dict[str, RobotUnit] = {}
+        self.whole = RobotUnit(self, self._latches)
         self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
@@ -101,20 +101,20 @@ class BackendSupervisor(BackendStatus):
 
     # -- Owner ---------------------------------------------------------------------------------
 
-    def unit(self, robot: str | None) -> StopGroup:
+    def unit(self, robot: str | None) -> RobotUnit:
         """Return a stop group: one of the backend's robots, or all of them."""
         if robot is None:
             return self.whole
         unit = self._units.get(robot)
         if unit is None:
-            unit = self._units[robot] = StopGroup(self, self._latches, robot)
+            unit = self._units[robot] = RobotUnit(self, self._latches, robot)
             unit.usable_backend = self.backend
             if self._backend is not None and unit.latch is not None:
                 self._stops.resume(unit)
         return unit
 
     @property
-    def units(self) -> list[StopGroup]:
+    def units(self) -> list[RobotUnit]:
         """The robots that can be stopped one by one, and all of the backend if more than they move."""
         alone = [unit for unit in self._units.values() if unit.own]
         if not alone or any(entry.moves for entry in self.whole.own.values()):
@@ -138,7 +138,7 @@ class BackendSupervisor(BackendStatus):
             if self.has_gateways and self.backend is not None:
                 self._commands.take_up(entry, self.backend)
 
-    def _offer_hold(self, unit: StopGroup) -> None:
+    def _offer_hold(self, unit: RobotUnit) -> None:
         """Add the hold service to a robot that moves, unless it has its own."""
         name = _hold_name(unit.robot)
         if name in self.entries:
@@ -164,7 +164,7 @@ class BackendSupervisor(BackendStatus):
                 self._registry.withdraw(entry.path)
                 self._withdraw_hold(entry.unit)
 
-    def _withdraw_hold(self, unit: StopGroup) -> None:
+    def _withdraw_hold(self, unit: RobotUnit) -> None:
         """Withdraw the hold service of a robot with nothing left that moves."""
         name = _hold_name(unit.robot)
         entry = self.entries.get(name)
@@ -205,7 +205,7 @@ class BackendSupervisor(BackendStatus):
             if down:
                 self._interrupt_all(detail)
 
-    def _report_robot(self, unit: StopGroup, detail: str | None, *, down: bool) -> None:
+    def _report_robot(self, unit: RobotUnit, detail: str | None, *, down: bool) -> None:
         if self.state not in ("opening", *_WORKING, "down"):
             return
         state: Availability = "ready" if detail is None else "down" if down else "degraded"
@@ -441,12 +441,12 @@ class BackendSupervisor(BackendStatus):
         }
 
     @property
-    def unready(self) -> list[StopGroup]:
+    def unready(self) -> list[RobotUnit]:
         """The robots that the backend reports as degraded or down."""
         return [unit for unit in self._units.values() if unit.state != "ready"]
 
     @property
-    def robots(self) -> list[StopGroup]:
+    def robots(self) -> list[RobotUnit]:
         """The robots that it can halt one by one."""
         return [unit for unit in self._units.values() if unit.own]
 

@@ -11,7 +11,7 @@ import msgspec
 
 from rcp_gateway.log import Recent
 from rcp_gateway.status import StatusReport
-from rcp_kernel.access.sights import Sights
+from rcp_kernel.access.tree_views import TreeViews
 from rcp_kernel.contract.identity import same_rights
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import RcpError, UnknownPath
@@ -22,7 +22,7 @@ from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
 from rcp_kernel.spi import Backend, BaseBackend
-from rcp_kernel.tree.entry import Availability, Entry, StopGroup
+from rcp_kernel.tree.entry import Availability, Entry, RobotUnit
 from rcp_kernel.tree.latches import Latches
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import Time
@@ -78,7 +78,7 @@ class System(BaseBackend):
         latches: Latches,
         stops: StopController,
         registry: Registry,
-        sights: Sights,
+        tree_views: TreeViews,
         recent: Recent,
         features: Sequence[SystemResource],
         reader_status: Callable[[Session], dict[str, Any]],
@@ -90,10 +90,10 @@ class System(BaseBackend):
         self._sessions = sessions
         self._reader_status = reader_status
         self._registry = registry
-        self._sights = sights
+        self._tree_views = tree_views
         self._loop = loop
         self.samples = 0
-        self._unit = StopGroup(self, None)
+        self._unit = RobotUnit(self, None)
         self._unit.usable_backend = self
         self._estop_due: asyncio.TimerHandle | None = None
         self._estop_took = 0.0
@@ -188,7 +188,7 @@ class System(BaseBackend):
         """The gateway is always there."""
         return self
 
-    def unit(self, robot: str | None) -> StopGroup:
+    def unit(self, robot: str | None) -> RobotUnit:
         """Return the stop group of the gateway, which no e-stop holds."""
         return self._unit
 
@@ -198,7 +198,7 @@ class System(BaseBackend):
         return "ready"
 
     @property
-    def units(self) -> list[StopGroup]:
+    def units(self) -> list[RobotUnit]:
         """There is nothing to stop."""
         return []
 
@@ -257,10 +257,10 @@ class System(BaseBackend):
         return report | self._reader_status(session)
 
     def _tree(self, session: Session) -> dict[str, Any]:
-        sight = self._sights.look(session.rights)
-        if not sight.current:  # the rest of many changes is processed soon
+        view = self._tree_views.look(session.rights)
+        if not view.current:  # the rest of many changes is processed soon
             self._tree_due = self._tree_due or self._loop.call_later(_SETTLED, self._publish_tree)
-        return {"generation": sight.number}
+        return {"generation": view.number}
 
     def _list_sessions(self, session: Session) -> list[dict[str, Any]]:
         places = session.rights.places("/system/sessions", Operation.EXECUTE)

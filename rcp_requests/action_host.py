@@ -13,7 +13,7 @@ from rcp_kernel.contract.digest import bounded, hashing
 from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.services import FeatureServices, ServiceKey
 from rcp_kernel.model import Operation
-from rcp_kernel.safety.safety import check_motion
+from rcp_kernel.safety.motion_checks import check_motion
 from rcp_kernel.sessions.command import Command
 from rcp_kernel.sessions.session import Handler, Session
 from rcp_kernel.tree.entry import Entry

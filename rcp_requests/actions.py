@@ -12,7 +12,7 @@ from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.wire import Request
 from rcp_requests.admission import Resolver
@@ -30,7 +30,7 @@ class PreparedRun:
 
     run: ActionRun
     waiting: WaitingCommand
-    units: list[StopGroup]
+    units: list[RobotUnit]
     """The stop groups of all paths it affects."""
 
     def check_stops(self) -> None:
@@ -53,7 +53,7 @@ class PreparedRun:
             principal=session.principal.name,
             proof=session.principal.proof,
             tenant=session.tenant,
-            asker=session,
+            requester=session,
             work=self.run,
             touches=self.run.touches,
             request=request,
@@ -113,8 +113,8 @@ class ActionHandler:
         units = yield from self._units(run)
         return PreparedRun(run, waiting, units)
 
-    def _units(self, run: ActionRun) -> Generator[None, None, list[StopGroup]]:
-        units: dict[StopGroup, None] = {}
+    def _units(self, run: ActionRun) -> Generator[None, None, list[RobotUnit]]:
+        units: dict[RobotUnit, None] = {}
         for number, path in enumerate(run.touches, 1):
             entry = self._registry.entries.get(path)
             if entry is not None:

@@ -26,7 +26,8 @@ from rcp_kernel.errors import (
 from rcp_kernel.features import Call
 from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
-from rcp_kernel.safety.safety import REPLY_GRACE, Deadman, is_safe
+from rcp_kernel.safety.deadman import REPLY_GRACE, Deadman
+from rcp_kernel.safety.safe_value import is_safe
 from rcp_kernel.sessions.command import LinkLost, is_unchanged
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend

@@ -31,17 +31,19 @@ class CommandAccess:
 
     def sees(self, session: Session, command: Command) -> bool:
         """Tell whether a session may know of a command: of all that it is about."""
-        rights, sight = session.rights, self._visibility
+        rights, visibility = session.rights, self._visibility
         if not rights.mask(command.path):
             return False
         if is_own(session, command):  # also what is told of it already, unless the rights have gone
-            return sight.sees_all(rights, (p for p in command.touches if p != EVERYTHING))
+            return visibility.sees_all(rights, (p for p in command.touches if p != EVERYTHING))
         if command.is_system:
             tenants = self._identities.tenants_of(session.principal)
             # Of what it has read in the name of who sent it, the value is told.
-            if command.tenant not in tenants or not sight.sees_all(rights, command.touches, _READ):
+            if command.tenant not in tenants or not visibility.sees_all(
+                rights, command.touches, _READ
+            ):
                 return False
-        return not sight.mentions_hidden(rights, command.tenant, command.names)
+        return not visibility.mentions_hidden(rights, command.tenant, command.names)
 
     def visible(self, session: Session) -> list[Command]:
         """List the commands that a session may see, newest first."""

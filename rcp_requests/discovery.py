@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from rcp_kernel.access.acl import Rights, reach
-from rcp_kernel.access.sights import Sights
+from rcp_kernel.access.tree_views import TreeViews
 from rcp_kernel.errors import BadRequest
 from rcp_kernel.features.feature import Describe
 from rcp_kernel.model import Kind, NativeType, Operation, Pattern, operation_names
@@ -53,10 +53,10 @@ class Discovery:
     """Answers `discover` from the registry; descriptions are written once for each entry."""
 
     def __init__(
-        self, registry: Registry, sights: Sights, describe: Describe, frames: FrameConverter
+        self, registry: Registry, tree_views: TreeViews, describe: Describe, frames: FrameConverter
     ) -> None:
         self._registry = registry
-        self._sights = sights
+        self._tree_views = tree_views
         self._describe = describe
         self._frames = frames
         self._known: dict[str, tuple[Entry, Description]] = {}
@@ -70,7 +70,7 @@ class Discovery:
 
         After a change of thousands of resources it increases slightly later than the tree changes.
         """
-        return self._sights.look(rights).number
+        return self._tree_views.look(rights).number
 
     def answer(
         self,
@@ -91,8 +91,8 @@ class Discovery:
             text = "/**" if tenant is None else f"/tenant/{tenant}/**"
         last, pattern = "", Pattern(text, tenant)
         # Ahead of the page: what changes meanwhile is news to whoever has this number.
-        page.generation = (yield from self._sights.catch_up(rights)).number
-        page.complete = not self._sights.growing(rights, pattern)
+        page.generation = (yield from self._tree_views.catch_up(rights)).number
+        page.complete = not self._tree_views.growing(rights, pattern)
         for entry, mask in self._visited(rights, pattern, query):
             if mask:
                 facts = self._facts(rights, entry, mask, query)
@@ -110,7 +110,9 @@ class Discovery:
         """List in steps what matches and may be seen, one page of it."""
         page: list[dict[str, Any]] = []
         generation = self.generation(rights)
-        whole: dict[str, Any] = {"complete": False} if self._sights.growing(rights, pattern) else {}
+        whole: dict[str, Any] = (
+            {"complete": False} if self._tree_views.growing(rights, pattern) else {}
+        )
         for number, (entry, mask) in enumerate(self._visited(rights, pattern, query), 1):
             if not number % _STEP:
                 yield

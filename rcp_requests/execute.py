@@ -18,9 +18,9 @@ from rcp_kernel.contract.requests import PreparedRequest, QueuedRequest
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import Call, Service
 from rcp_kernel.model import Operation
+from rcp_kernel.safety.deadman import Deadman
 from rcp_kernel.safety.hold import Hold
 from rcp_kernel.safety.partners import Partners
-from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.accounting import count_command
 from rcp_kernel.sessions.command import Command, CommandListener, Record, command_id
 from rcp_kernel.sessions.long_value import LongValue
@@ -436,7 +436,7 @@ def _command(call: Call) -> Command:
         principal=session.principal.name,
         proof=session.principal.proof,
         tenant=entry.tenant,
-        asker=session,
+        requester=session,
         request=request,
         request_id=request.id,
         custom=request.custom,

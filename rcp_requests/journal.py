@@ -136,7 +136,7 @@ class CommandJournal:
         for follower in tuple(command.followers):
             follower(command, step)
         if status in FINAL:
-            command.asker = command.request = command.work = None
+            command.requester = command.request = command.work = None
             command.followers.clear()
 
     def _close(self, command: Command, last: Record) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta
 
-from rcp_kernel.access.sights import Sights
+from rcp_kernel.access.tree_views import TreeViews
 from rcp_kernel.clock import iso, iso_bytes, now
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.internal_errors import attribute_error
@@ -83,7 +83,7 @@ class ReadHandler:
         inflight: InFlight,
         counts: RequestCounts,
         turns: Turns,
-        sights: Sights,
+        tree_views: TreeViews,
         *,
         views: Mapping[str, View],
         pages: Mapping[str, Pages],
@@ -98,7 +98,7 @@ class ReadHandler:
         self._seconds = counts.seconds
         self._outcomes = counts.outcomes
         self._turns = turns
-        self._sights = sights
+        self._tree_views = tree_views
         self._views = views
         self._pages = pages
         self._filters = filters
@@ -299,7 +299,7 @@ class ReadHandler:
     def _read_own(
         self, session: Session, request: Request, entry: Entry, options: ReadOptions
     ) -> Generator[None, None, Reply]:
-        yield from self._sights.catch_up(session.rights)  # the visible part depends on it
+        yield from self._tree_views.catch_up(session.rights)  # the visible part depends on it
         view = self._views.get(entry.path)
         if view is None:
             shown = partial(self._filters[entry.path], session)

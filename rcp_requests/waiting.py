@@ -24,7 +24,7 @@ class WaitingCommand:
         self.id = command_id()
         """Id of the command that it becomes."""
         self.since = time.monotonic() if since is None else since
-        """When it arrived, compared with `StopGroup.stopped`."""
+        """When it arrived, compared with `RobotUnit.stopped`."""
         self.cancelled = False
         """Whether its own principal has requested a cancel."""
         self.asking: dict[object, Session] = {}

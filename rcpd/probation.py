@@ -41,7 +41,7 @@ class Probation:
         self, server: Server, file: ConfigurationFile, restart: Callable[[], None]
     ) -> None:
         self._server, self._file, self._restart = server, file, restart
-        self._loop = server.kernel.loop
+        self._loop = server.gateway.loop
         self._timer: asyncio.TimerHandle | None = None
         self._beginning: asyncio.TimerHandle | None = None
         self._task: asyncio.Task[None] | None = None
@@ -105,7 +105,7 @@ class Probation:
 
     @property
     def _running(self) -> GatewayConfig:
-        return self._server.kernel.settings.config
+        return self._server.gateway.settings.config
 
     def propose(
         self, text: str, *, by: str, via: str | None, seconds: float, restart: bool
@@ -211,7 +211,7 @@ class Probation:
         return [one.name for one in self._server.supervisors if one.state != "ready"]
 
     def _record(self, proposal: Proposal) -> None:
-        self._server.kernel.event_bus.note(
+        self._server.gateway.event_bus.note(
             "configuration",
             principal=None,
             path="/system/configuration",

@@ -20,17 +20,17 @@ log = structlog.get_logger("rcp.reload")
 
 async def reload(server: Server, path: Path) -> bool:
     """Apply a configuration file; an invalid one changes nothing, is logged, and returns false."""
-    running = server.kernel.settings.config
+    running = server.gateway.settings.config
     try:
         fresh = load(path)
         prepared = prepare_reload(running, fresh, str(path))
     except StartupError as error:
         log.error("reload_refused", reason=explained(error, path))
-        server.kernel.event_bus.note("reload", principal=None, outcome="refused")
+        server.gateway.event_bus.note("reload", principal=None, outcome="refused")
         return False
     except Exception:
         log.exception("reload_failed", reason="a plugin or the gateway has a bug")
-        server.kernel.event_bus.note("reload", principal=None, outcome="failed")
+        server.gateway.event_bus.note("reload", principal=None, outcome="failed")
         return False
     log_weak_keys(fresh.keys, str(path))
     for part in needs_restart(running, fresh):

@@ -118,7 +118,7 @@ async def _serve(
         async with running(prepared, recent) as server:
             notifier.send("READY=1")
             await _serve_until(stop, server, file, demo)
-    if not server.kernel.store.lost:
+    if not server.gateway.store.lost:
         return 0
     click.echo("rcpd: cannot write the store: the last audit records are lost", err=True)
     return RECORD_LOST
@@ -140,7 +140,7 @@ async def _serve_until(
             loop.add_signal_handler(signal.SIGHUP, again)
             _watch_probation(stack, server, file, stop)
         click.echo(f"rcpd: event loop: {_loop_name(loop)}", err=True)
-        stack.enter_context(collected_at_rest(loop, lambda: server.kernel.moving))
+        stack.enter_context(collected_at_rest(loop, lambda: server.gateway.moving))
         if demo is not None:
             with demo.credentials(server):
                 click.echo(demo.banner(server))

@@ -19,6 +19,6 @@ def brief_key(server: Server) -> str:
     """Give a running gateway an operator's key of tenant `alpha` that ends in a moment, and return it."""
     ends = (datetime.now(UTC) + _LIFE).isoformat()
     key = KeyConfig(name="brief", role="operator", tenants=("alpha",), key=_KEY, expires=ends)
-    config = server.kernel.settings.config
-    server.kernel.reconfigure(msgspec.structs.replace(config, keys=(*config.keys, key)))
+    config = server.gateway.settings.config
+    server.gateway.reconfigure(msgspec.structs.replace(config, keys=(*config.keys, key)))
     return _KEY

@@ -85,7 +85,7 @@ async def main() -> None:
     )
     async with running(made) as server:
         url = next(facts["url"] for facts in server.status.transports if "url" in facts)
-        loop, kernel = asyncio.get_running_loop(), server.kernel
+        loop, kernel = asyncio.get_running_loop(), server.gateway
         with collected_at_rest(loop, lambda: kernel.moving):
             print(url.rpartition(":")[2].strip("/"), flush=True)
             await asyncio.to_thread(sys.stdin.read)

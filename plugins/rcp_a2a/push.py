@@ -37,18 +37,18 @@ _TEXT = 1024  # characters of a token or of credentials
 class Subscribers(InMemoryPushNotificationConfigStore):
     """The addresses of each task, kept as long as the task."""
 
-    def __init__(self, shelf: PluginStore, most: int) -> None:
+    def __init__(self, store: PluginStore, most: int) -> None:
         super().__init__(owner_of)
-        self._shelf = shelf
+        self._store = store
         self._most = most
 
     def restore(self) -> None:
         """Load the addresses of earlier runs."""
-        for task_id, row in self._shelf.load().items():
+        for task_id, row in self._store.load().items():
             try:
                 configs = [TaskPushNotificationConfig.FromString(one) for one in row["configs"]]
             except (DecodeError, KeyError, TypeError):
-                self._shelf.put(task_id, None)
+                self._store.put(task_id, None)
                 continue
             self._push_notification_infos.setdefault(row["owner"], {})[task_id] = configs
 
@@ -82,14 +82,14 @@ class Subscribers(InMemoryPushNotificationConfigStore):
         """Remove the addresses of a deleted task."""
         for infos in self._push_notification_infos.values():
             infos.pop(task_id, None)
-        self._shelf.put(task_id, None)
+        self._store.put(task_id, None)
 
     def _keep(self, task_id: str, owner: str) -> None:
-        if not self._shelf.keeps:
+        if not self._store.keeps:
             return
         configs = self._push_notification_infos.get(owner, {}).get(task_id, [])
         row = {"owner": owner, "configs": [one.SerializeToString() for one in configs]}
-        self._shelf.put(task_id, row if configs else None)
+        self._store.put(task_id, row if configs else None)
 
 
 def _check(config: TaskPushNotificationConfig) -> None:

@@ -37,23 +37,23 @@ class Receipt(msgspec.Struct, eq=False):
 class Receipts:
     """The receipts of all tasks; each is kept as long as its task."""
 
-    def __init__(self, shelf: PluginStore) -> None:
-        self._shelf = shelf
+    def __init__(self, store: PluginStore) -> None:
+        self._store = store
         self._known: dict[str, Receipt] = {}
         self._by_task: dict[str, list[Receipt]] = {}
 
     def restore(self, is_known: Callable[[str, str], bool]) -> None:
         """Load the receipts of earlier runs; `is_known` says whether an owner has a task."""
-        for key, row in self._shelf.load().items():
+        for key, row in self._store.load().items():
             try:
                 receipt = Receipt(key, row["owner"], row["message"], row["digest"], row["task"])
             except (KeyError, TypeError) as error:
                 log.warning("receipt_unreadable", receipt=key, error=str(error))
-                self._shelf.put(key, None)
+                self._store.put(key, None)
                 continue
             if not is_known(receipt.owner, receipt.task):
                 # Its task was never kept; the gateway's idempotency key knows what came of it.
-                self._shelf.put(key, None)
+                self._store.put(key, None)
                 continue
             receipt.taken.set()
             self._add(receipt)
@@ -91,7 +91,7 @@ class Receipts:
         self._add(receipt)
         # Before the gateway's own record of the command, so that neither is kept without this one.
         row = msgspec.structs.asdict(receipt)
-        self._shelf.put(receipt.key, {key: row[key] for key in _KEPT})
+        self._store.put(receipt.key, {key: row[key] for key in _KEPT})
         try:
             yield
         finally:
@@ -121,7 +121,7 @@ class Receipts:
         if self._known.get(receipt.key) is not receipt:
             return
         del self._known[receipt.key]
-        self._shelf.put(receipt.key, None)
+        self._store.put(receipt.key, None)
         of_task = self._by_task[receipt.task]
         of_task.remove(receipt)
         if not of_task:

@@ -46,9 +46,9 @@ _CUT_OFF = "the gateway was restarted during the task; it commanded the robot to
 class Tasks(InMemoryTaskStore):
     """The SDK's task store; every task is also written to the gateway's store."""
 
-    def __init__(self, shelf: PluginStore, config: A2aConfig) -> None:
+    def __init__(self, store: PluginStore, config: A2aConfig) -> None:
         super().__init__(owner_of)
-        self._shelf = shelf
+        self._kept_rows = store
         self._most = config.tasks
         self._size = config.tasks_size
         self._retention = int(config.retention * _S)
@@ -68,9 +68,9 @@ class Tasks(InMemoryTaskStore):
 
         `waits` says whether a task still waits for its client, with a question that was kept.
         """
-        for key, row in self._shelf.load().items():
+        for key, row in self._kept_rows.load().items():
             if (task := _read(key, row)) is None:
-                self._shelf.put(key, None)
+                self._kept_rows.put(key, None)
                 continue
             owner = row["owner"]
             self._owners.setdefault(owner, {})[task.id] = task
@@ -136,12 +136,12 @@ class Tasks(InMemoryTaskStore):
 
     def _keep(self, owner: str, task: Task) -> None:
         self._weigh(owner, task)
-        if self._shelf.keeps:
-            self._shelf.put(task.id, {"owner": owner, "task": task.SerializeToString()})
+        if self._kept_rows.keeps:
+            self._kept_rows.put(task.id, {"owner": owner, "task": task.SerializeToString()})
 
     def _forget(self, owner: str, task_id: str) -> None:
         self._sizes.get(owner, {}).pop(task_id, None)
-        self._shelf.put(task_id, None)
+        self._kept_rows.put(task_id, None)
         for callback in self.forgotten:
             callback(task_id)
 

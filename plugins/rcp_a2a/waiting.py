@@ -26,13 +26,13 @@ class Pending(NamedTuple):
 class WaitingTasks:
     """The open questions of all tasks."""
 
-    def __init__(self, shelf: PluginStore) -> None:
-        self._shelf = shelf
+    def __init__(self, store: PluginStore) -> None:
+        self._store = store
         self._earlier: dict[str, Pending] = {}
 
     def restore(self) -> None:
         """Load the questions of earlier runs."""
-        for task_id, row in self._shelf.load().items():
+        for task_id, row in self._store.load().items():
             try:
                 plan: Any = msgspec.convert(row["plan"], TaskRequest)
                 question: Any = msgspec.convert(row["question"], Question)
@@ -53,9 +53,9 @@ class WaitingTasks:
     def keep(self, task_id: str, plan: TaskRequest, question: Question) -> None:
         """Keep a question until it is answered."""
         row = {"plan": msgspec.to_builtins(plan), "question": msgspec.to_builtins(question)}
-        self._shelf.put(task_id, row)
+        self._store.put(task_id, row)
 
     def forget(self, task_id: str) -> None:
         """Remove a question, if there is one."""
         self._earlier.pop(task_id, None)
-        self._shelf.put(task_id, None)
+        self._store.put(task_id, None)

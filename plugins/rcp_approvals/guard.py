@@ -9,7 +9,7 @@ from typing import Any
 from rcp_approvals.questions import Questions
 from rcp_kernel.features import Call, Slot
 from rcp_kernel.features.approval import About
-from rcp_kernel.safety.safety import is_safe
+from rcp_kernel.safety.safe_value import is_safe
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 

@@ -60,17 +60,17 @@ class Disclosure:
         return all(tenant in reach for tenant in tenants)
 
     def _sees(self, rights: Rights, record: dict[str, Any]) -> bool:
-        sight, tenant = self._visibility, record.get("tenant")
+        visibility, tenant = self._visibility, record.get("tenant")
         if _has_whole_plan(record):
-            return sight.sees_whole(rights, None)
+            return visibility.sees_whole(rights, None)
         # Seeing a path is enough for its commands; values that were read also need READ.
         needed = Operation.READ if record.get("what") == "read" else Operation.NONE
-        if not sight.sees_all(rights, record.get("touches", ()), needed):
+        if not visibility.sees_all(rights, record.get("touches", ()), needed):
             return False
         robot = record.get("robot")
-        if robot is not None and not sight.sees_robot(rights, robot, tenant):
+        if robot is not None and not visibility.sees_robot(rights, robot, tenant):
             return False
-        return not sight.mentions_hidden(rights, tenant, self._names_of(record))
+        return not visibility.mentions_hidden(rights, tenant, self._names_of(record))
 
     def _masked(self, rights: Rights, record: dict[str, Any]) -> dict[str, Any] | None:
         """Remove hidden robots; None if no others are left."""

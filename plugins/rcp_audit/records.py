@@ -104,15 +104,15 @@ class Records:
         accepted, error = step.status == "accepted", step.error
         if not accepted and step.status not in FINAL:
             return
-        asker, work, path = command.asker, command.work, command.path
+        requester, work, path = command.requester, command.work, command.path
         own = path.startswith("/system/")
         outline = None
         if work is not None:
             outline = work.outline(work.report(over=False) if accepted else step.body)
         several = outline is not None if accepted else own
         touches = bounded_touches(command.touches) if several else None
-        principal = None if asker is None else asker.principal
-        facts = self._who(principal, asker, command.tenant, path, touches)
+        principal = None if requester is None else requester.principal
+        facts = self._who(principal, requester, command.tenant, path, touches)
         what = "execute" if accepted else "command"
         outcome = "accepted" if accepted else "ok" if error is None else error["code"]
         if self._store.waiting > _MOST and not self._passes(
@@ -206,7 +206,7 @@ def describe(facts: dict[str, Any], request: Request, what: str, *, hide: bool) 
 def _conclude(facts: dict[str, Any], command: Command, last: Record, *, own: bool) -> None:
     """Add the fields of a command's outcome."""
     error, body = last.error, last.body
-    if command.asker is None:
+    if command.requester is None:
         facts["by"] = command.principal[:_TEXT]
     facts["status"] = last.status
     if last.message is not None:

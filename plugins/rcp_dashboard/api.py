@@ -17,7 +17,7 @@ from rcp_dashboard.telemetry import Telemetry
 from rcp_gateway.api import Session
 from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import RcpError
-from rcp_web.application import Application, Asked, response, scope_of
+from rcp_web.application import Application, WebRequest, response, scope_of
 from rcp_web.asgi import Headers, Scope
 from rcp_web.calls import call, parameters_of, query
 from rcp_web.refusals import Refusal, envelope
@@ -192,7 +192,7 @@ class Api:
 _PLACES = ("/series", "/latest", "/past", "/camera", "/camera/stream", "/panels")
 
 
-async def _identify(request: Asked, services: NamedDependency[Services]) -> DashboardRequest:
+async def _identify(request: WebRequest, services: NamedDependency[Services]) -> DashboardRequest:
     asked = DashboardRequest(scope_of(request))
     await asked.identify(services.client_api)
     asked.allow(*parameters_of(request))

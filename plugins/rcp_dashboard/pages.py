@@ -10,7 +10,7 @@ from litestar import get
 from litestar.types import ASGIApp
 
 from rcp_dashboard.files import File, answer
-from rcp_web.application import Application, Asked, scope_of
+from rcp_web.application import Application, WebRequest, scope_of
 from rcp_web.asgi import Headers
 
 __all__ = ["STATIC", "Pages"]
@@ -49,7 +49,7 @@ class Pages:
         files["/"] = files.pop("/index.html", None) or File(_UNBUILT, "/index.html")
 
         @get([*files], sync_to_thread=False)
-        def page(request: Asked) -> ASGIApp:
+        def page(request: WebRequest) -> ASGIApp:
             """Serve a file."""
             return answer(scope_of(request), files[request.scope["path"]], _SAFE)
 

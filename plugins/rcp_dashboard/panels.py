@@ -14,7 +14,7 @@ from msgspec import Meta, Struct
 
 from rcp_dashboard.files import File, answer
 from rcp_kernel.errors import ConfigError
-from rcp_web.application import Application, Asked, scope_of
+from rcp_web.application import Application, WebRequest, scope_of
 from rcp_web.asgi import Headers
 
 __all__ = ["PREFIX", "Panel", "Panels"]
@@ -69,7 +69,7 @@ class Panels:
             files[f"{PREFIX}/{name}"] = File(_document(name, folder), _INDEX)
 
         @get([*files], sync_to_thread=False)
-        def panel(request: Asked) -> ASGIApp:
+        def panel(request: WebRequest) -> ASGIApp:
             """Serve the document of a panel."""
             return answer(scope_of(request), files[request.scope["path"]], _HEADERS)
 

@@ -15,7 +15,7 @@ from litestar import get
 from litestar.types import ASGIApp
 
 from rcp_kernel.errors import ConfigError, RcpError, UnknownPath
-from rcp_web.application import Application, Asked, response, scope_of
+from rcp_web.application import Application, WebRequest, response, scope_of
 from rcp_web.asgi import Headers, Scope, header, until_gone
 from rcp_web.ranges import byte_range, range_headers
 from rcp_web.refusals import Refusal, envelope
@@ -49,7 +49,7 @@ class Tiles:
             return response(200, known, headers=[(b"cache-control", b"no-cache")])
 
         @get(_ARCHIVE)
-        async def tiles(request: Asked) -> ASGIApp:
+        async def tiles(request: WebRequest) -> ASGIApp:
             """Answer with the archive, or a range of it."""
             return await self._send(scope_of(request))
 

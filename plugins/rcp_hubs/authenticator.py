@@ -15,7 +15,7 @@ from rcp_hubs.revocation import NONE, RevocationList, fleet_key, read_list
 from rcp_jwt.webtokens import read_token
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.role import HUB
-from rcp_kernel.contract.identity import HOUSE, Principal, granted
+from rcp_kernel.contract.identity import NAMED_BY_OPERATOR, Principal, granted
 from rcp_kernel.errors import Forbidden, TokenExpired, Unauthenticated
 from rcp_kernel.features import FeatureHost
 
@@ -185,7 +185,7 @@ class HubAuthenticator(Authenticator):
 
     def _principal(self, hub: HubConfig, assertion: Assertion, digest: str) -> Principal:
         proof = f"{self.name} {hub.people or hub.id}"
-        if assertion.rcp_proof not in HOUSE:
+        if assertion.rcp_proof not in NAMED_BY_OPERATOR:
             proof = f"{proof} {assertion.rcp_proof}"
         return Principal(
             assertion.sub,

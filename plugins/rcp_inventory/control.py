@@ -9,7 +9,7 @@ from rcp_inventory.messages import Control
 from rcp_kernel.clock import iso
 from rcp_kernel.features import Call, FeatureHost
 from rcp_kernel.features.control import HOLDERS
-from rcp_kernel.safety.safety import is_safe
+from rcp_kernel.safety.safe_value import is_safe
 from rcp_kernel.tree.entry import Entry
 
 __all__ = ["Controllers"]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 
 from rcp_inventory.limits import Limits, frames_of, limits_of
 from rcp_kernel.features import FeatureHost
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 
 __all__ = ["Fleet", "Member", "Robot"]
 
@@ -101,7 +101,7 @@ class Fleet:
         self._changed()
 
 
-def _scope(tenant: str, unit: StopGroup) -> str:
+def _scope(tenant: str, unit: RobotUnit) -> str:
     return (
         f"/tenant/{tenant}"
         if unit.robot_segment is None

@@ -16,7 +16,7 @@ from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import RobotFacts
-from rcp_kernel.tree.entry import Availability, StopGroup
+from rcp_kernel.tree.entry import Availability, RobotUnit
 from rcp_kernel.values import to_plain
 
 __all__ = ["Inventory"]
@@ -63,7 +63,7 @@ class Inventory:
 class _View:
     """One robot as one reader sees it."""
 
-    def __init__(self, robot: Robot, members: list[Member], units: list[StopGroup]) -> None:
+    def __init__(self, robot: Robot, members: list[Member], units: list[RobotUnit]) -> None:
         self._robot = robot
         self._members = members
         self._units = units
@@ -136,14 +136,14 @@ class _View:
         return None
 
 
-def _is_robot(unit: StopGroup) -> bool:
+def _is_robot(unit: RobotUnit) -> bool:
     """Tell whether it is a robot, or all of a backend that is one; a fleet is none."""
     if unit.robot is not None:
         return True
     return unit in unit.owner.units and not unit.owner.has_gateways
 
 
-def _facts_of(units: Iterable[StopGroup]) -> RobotFacts:
+def _facts_of(units: Iterable[RobotUnit]) -> RobotFacts:
     """Merge what several backends say of one robot; a part does not describe the whole."""
     told = {unit if unit.owner.robot is None else unit.whole: None for unit in units}
     merged: dict[str, Any] = {}

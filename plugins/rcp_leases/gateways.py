@@ -14,7 +14,7 @@ from rcp_kernel.errors import DeadlineExceeded, Refused
 from rcp_kernel.features import Scope
 from rcp_kernel.features.robots import Robots
 from rcp_kernel.spi import RobotLease, RobotLeaseRequest
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 from rcp_leases.lease import GatewayLease, Lease, Program
 
 __all__ = ["GatewayLeases", "Granted"]
@@ -34,10 +34,10 @@ class GatewayLeases:
 
     def __init__(self, robots: Robots, clock: Clock, leases: Mapping[str, Lease]) -> None:
         self._robots, self._clock, self._leases = robots, clock, leases
-        self._leased: dict[str, StopGroup] = {}
+        self._leased: dict[str, RobotUnit] = {}
         """The robots whose gateways hold leases, by name."""
 
-    def units(self, scope: Scope) -> list[StopGroup]:
+    def units(self, scope: Scope) -> list[RobotUnit]:
         """List the robots in a scope that have gateways of their own."""
         return [
             unit
@@ -47,7 +47,7 @@ class GatewayLeases:
             if unit.robot is not None and _has(scope, unit)
         ]
 
-    def update(self, unit: StopGroup) -> bool:
+    def update(self, unit: RobotUnit) -> bool:
         """Note the leases at a robot's gateway; return whether there are or were any."""
         before, own = self._leased.pop(unit.name, None), unit.own_leases
         if own is not None and own.leases:
@@ -63,14 +63,14 @@ class GatewayLeases:
                 if (name, lease.id) not in ours:
                     yield lease
 
-    def over(self, unit: StopGroup, path: str) -> RobotLease | None:
+    def over(self, unit: RobotUnit, path: str) -> RobotLease | None:
         """Return the lease at its own gateway that a path of a robot is under, if known."""
         leases = () if unit.own_leases is None else unit.own_leases.leases
         return next((one for one in leases if Scope(one.scope).covers(path)), None)
 
     async def acquire(
         self,
-        units: Iterable[StopGroup],
+        units: Iterable[RobotUnit],
         scope: Scope,
         ttl: float,
         *,
@@ -100,7 +100,7 @@ class GatewayLeases:
         fresh = {u for u, one in wanted.items() if not _holds(u, one.scope, principal)}
         refused = set(wanted)
 
-        async def ask(unit: StopGroup) -> RobotLease:
+        async def ask(unit: RobotUnit) -> RobotLease:
             refused.discard(unit)
             try:
                 return await unit.lease_own(wanted[unit])
@@ -121,7 +121,7 @@ class GatewayLeases:
             raise
 
     async def extend(
-        self, units: Iterable[StopGroup], lease: Lease, ttl: float, program: Program
+        self, units: Iterable[RobotUnit], lease: Lease, ttl: float, program: Program
     ) -> Granted:
         """Renew a lease at all robots of its scope; one that is new in there is asked for it.
 
@@ -129,7 +129,7 @@ class GatewayLeases:
         :raises RcpError: one of them cannot be asked.
         """
         before = self._clock.now()
-        asked: dict[StopGroup, Coroutine[Any, Any, RobotLease]] = {}
+        asked: dict[RobotUnit, Coroutine[Any, Any, RobotLease]] = {}
         for unit in units:
             held, scope = lease.gateways.get(unit.name), narrowed(lease.scope, unit)
             request = RobotLeaseRequest(
@@ -143,7 +143,7 @@ class GatewayLeases:
             asked[unit] = unit.lease_own(request)
         return self._granted(await _all(asked), before)
 
-    async def release(self, units: Iterable[StopGroup], lease: Lease) -> None:
+    async def release(self, units: Iterable[RobotUnit], lease: Lease) -> None:
         """Release a lease that is no longer held here; at a robot that cannot be asked it expires."""
         asked = [
             unit.lease_own(
@@ -155,7 +155,7 @@ class GatewayLeases:
         ]
         await asyncio.gather(*asked, return_exceptions=True)
 
-    async def hand_over(self, units: Iterable[StopGroup], lease: Lease, heir: Any) -> Granted:
+    async def hand_over(self, units: Iterable[RobotUnit], lease: Lease, heir: Any) -> Granted:
         """Hand a lease over at all robots.
 
         :raises RcpError: one of them refuses, or cannot be asked; others may have done it.
@@ -177,10 +177,10 @@ class GatewayLeases:
         held = (one.gateways.get(name) for one in self._leases.values())
         return any(one is not None and one.id == id_ for one in held)
 
-    async def _undo(self, unit: StopGroup, scope: str) -> None:
+    async def _undo(self, unit: RobotUnit, scope: str) -> None:
         await unit.lease_own(RobotLeaseRequest(do="release", scope=scope))
 
-    def _granted(self, granted: Mapping[StopGroup, RobotLease], before: int) -> Granted:
+    def _granted(self, granted: Mapping[RobotUnit, RobotLease], before: int) -> Granted:
         """Return what was granted, if it lasts any longer."""
         left = min((one.expires - one.told for one in granted.values()), default=0)
         if granted and before + left <= self._clock.now():
@@ -191,20 +191,20 @@ class GatewayLeases:
         )
 
 
-def narrowed(scope: Scope, unit: StopGroup) -> str:
+def narrowed(scope: Scope, unit: RobotUnit) -> str:
     """Return the part of a scope that is one robot's."""
     parts = scope.text.count("/")
     whole = scope.robot is None and parts <= 3
     return f"{scope.text}/{unit.robot_segment}" if whole else scope.text
 
 
-def _has(scope: Scope, unit: StopGroup) -> bool:
+def _has(scope: Scope, unit: RobotUnit) -> bool:
     if scope.robot is not None:
         return scope.robot == unit.robot_segment
     return any(scope.covers(entry.path) for entry in unit.own.values())
 
 
-def _holds(unit: StopGroup, scope: str, principal: str) -> bool:
+def _holds(unit: RobotUnit, scope: str, principal: str) -> bool:
     own = unit.own_leases
     return own is not None and any(
         one.scope == scope and one.holder == principal for one in own.leases
@@ -212,11 +212,11 @@ def _holds(unit: StopGroup, scope: str, principal: str) -> bool:
 
 
 async def _all(
-    asked: Mapping[StopGroup, Coroutine[Any, Any, RobotLease]],
-) -> dict[StopGroup, RobotLease]:
+    asked: Mapping[RobotUnit, Coroutine[Any, Any, RobotLease]],
+) -> dict[RobotUnit, RobotLease]:
     """Wait for all answers, and raise the first refusal."""
     found = await asyncio.gather(*asked.values(), return_exceptions=True)
-    granted: dict[StopGroup, RobotLease] = {}
+    granted: dict[RobotUnit, RobotLease] = {}
     for unit, one in zip(asked, found, strict=True):
         if isinstance(one, BaseException):
             raise one

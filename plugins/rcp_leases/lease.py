@@ -66,7 +66,7 @@ class Lease:
     program: str | None = None
     """The program of a person who came by a hub, which may go on with it at another hub."""
     gateways: dict[str, GatewayLease] = field(default_factory=dict[str, GatewayLease])
-    """By the name of each robot (`StopGroup.name`) that has a gateway of its own."""
+    """By the name of each robot (`RobotUnit.name`) that has a gateway of its own."""
 
     def of_robots(self) -> Iterable[tuple[str, GatewayLease]]:
         """Go through the robots' gateways that hold it."""

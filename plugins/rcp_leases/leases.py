@@ -20,7 +20,7 @@ from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
 from rcp_kernel.features import Call, FeatureHost, Scope, Slot
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 from rcp_leases.config import LeasesConfig
 from rcp_leases.gateways import GatewayLeases, Granted
 from rcp_leases.lease import GatewayLease, Lease, Program, refusal
@@ -443,7 +443,7 @@ class Leases:
             self._asked.discard(lease.id)
             self.compare(lease)
 
-    def _gateway_reported(self, unit: StopGroup) -> None:
+    def _gateway_reported(self, unit: RobotUnit) -> None:
         changed = self.gateways.update(unit)
         for lease in list(self.by_id.values()):
             self._compare(lease, unit)
@@ -455,7 +455,7 @@ class Leases:
         for unit in self.gateways.units(lease.scope):
             self._compare(lease, unit)
 
-    def _compare(self, lease: Lease, unit: StopGroup) -> None:
+    def _compare(self, lease: Lease, unit: RobotUnit) -> None:
         held, own = lease.gateways.get(unit.name), unit.own_leases
         if held is None or own is None or own.told < held.told or lease.id in self._asked:
             return

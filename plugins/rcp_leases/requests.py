@@ -26,7 +26,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.features import FeatureHost, Scope
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.spi import RobotLease
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 from rcp_kernel.types import Time
 from rcp_kernel.values import value_type
 from rcp_kernel.wire import Request
@@ -219,7 +219,7 @@ class LeaseRequests:
         request: LeaseRequest,
         scope: Scope,
         ttl: float,
-        units: list[StopGroup],
+        units: list[RobotUnit],
     ) -> LeaseState:
         leases, until, take = self._leases, self._until(ttl), request.take
         async with self._turn(session):
@@ -245,7 +245,7 @@ class LeaseRequests:
             return self._still(session, lease)
 
     async def _renew_there(
-        self, session: Session, lease: Lease, ttl: float, units: list[StopGroup]
+        self, session: Session, lease: Lease, ttl: float, units: list[RobotUnit]
     ) -> LeaseState:
         leases, until = self._leases, self._until(ttl)
         async with self._turn(session):

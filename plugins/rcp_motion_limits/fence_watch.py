@@ -67,12 +67,12 @@ class FenceWatch:
 
     def _look_at_commands(self, bound: BoundPath, sample: Sample) -> None:
         for command in self._host.control.running(bound.entry.path):
-            if command.asker is None or command.cancelling:
+            if command.requester is None or command.cancelling:
                 continue
-            why = _trouble(bound, command.asker, sample)
+            why = _trouble(bound, command.requester, sample)
             if why is not None:
                 self._host.control.cancel(command, why[-1])
-                self._notify(command.asker, bound, *why)
+                self._notify(command.requester, bound, *why)
 
     def _notify(self, session: Session, bound: BoundPath, sensor: str, name: str, why: str) -> None:
         entry = bound.entry

@@ -16,7 +16,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.contract.identity import Grants
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Kind, Operation, Pattern, tenant_of
-from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.safety.safe_value import safe_value
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_motion_limits.commanded_values import CommandedValues

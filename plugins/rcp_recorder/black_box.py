@@ -9,7 +9,7 @@ from typing import Literal
 from rcp_kernel.clock import iso
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Pattern
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 from rcp_recorder.channels import Message, Stream
 from rcp_recorder.config import BlackBoxConfig
 from rcp_recorder.facts import about, robot_path, robots_of
@@ -81,7 +81,7 @@ class _Robot:
     def __init__(self, box: Box, taps: Taps) -> None:
         self.box = box
         self.taps = taps
-        self.units: dict[StopGroup, _State] = {}
+        self.units: dict[RobotUnit, _State] = {}
 
 
 class BlackBox:
@@ -178,7 +178,7 @@ class BlackBox:
         box.write(stream, self._host.loop, self._config.after)
 
 
-def _state(unit: StopGroup, before: _State) -> _State:
+def _state(unit: RobotUnit, before: _State) -> _State:
     match unit.availability:
         case "ready":
             return "ready"

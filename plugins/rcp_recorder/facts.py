@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.model import Pattern
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 
 __all__ = ["about", "robot_path", "robots_of"]
 
@@ -24,12 +24,12 @@ def about(name: str, patterns: Sequence[Pattern], **more: str) -> dict[str, str]
     }
 
 
-def robot_path(unit: StopGroup) -> str:
+def robot_path(unit: RobotUnit) -> str:
     """Return the path of a robot, as the inventory lists it."""
     return "/".join(filter(None, (f"/tenant/{unit.tenant}", unit.owner.robot, unit.robot)))
 
 
-def robots_of(units: Iterable[StopGroup]) -> Mapping[str, Mapping[str, str]]:
+def robots_of(units: Iterable[RobotUnit]) -> Mapping[str, Mapping[str, str]]:
     """Describe robots."""
     robots: dict[str, dict[str, str]] = {}
     for unit in units:

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 from rcp_kernel.clock import iso
 from rcp_kernel.contract.events import Event
 from rcp_kernel.features import FeatureHost
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 from rcp_kernel.tree.scope import Scope
 from rcp_recorder.facts import robot_path
 from rcp_recorder.notes import described, shortened, write
@@ -37,7 +37,7 @@ class _Lease(NamedTuple):
     scope: Scope
     facts: _Facts
 
-    def concerns(self, unit: StopGroup, paths: Iterable[str]) -> bool:
+    def concerns(self, unit: RobotUnit, paths: Iterable[str]) -> bool:
         """Return whether it is about a robot, of which these paths are recorded."""
         scope = self.scope
         if scope.robot is not None:
@@ -55,7 +55,7 @@ class _Leases:
             name = lease.scope.robot or "".join(lease.scope.text.split("/")[_NAME : _NAME + 1])
             (self._by_name.setdefault(name, []) if name else self._of_all).append(lease)
 
-    def near(self, unit: StopGroup) -> Iterator[_Lease]:
+    def near(self, unit: RobotUnit) -> Iterator[_Lease]:
         """Iterate over those that may be about a robot; one that has no name of its own has any."""
         yield from self._of_all
         if unit.robot_segment:
@@ -70,7 +70,7 @@ class Notices:
     def __init__(self, host: FeatureHost, counts: SampleCounts) -> None:
         self._host = host
         self._counts = counts
-        self._told: WeakKeyDictionary[Taps, dict[StopGroup, _Facts]] = WeakKeyDictionary()
+        self._told: WeakKeyDictionary[Taps, dict[RobotUnit, _Facts]] = WeakKeyDictionary()
         """What was last recorded of the robots' states."""
         self._of_robots: dict[str, deque[_Facts]] = {}
         """What is to be written, by a robot's or a backend's name."""
@@ -126,7 +126,7 @@ class Notices:
         self,
         taps: Taps,
         tenant: str,
-        unit: StopGroup,
+        unit: RobotUnit,
         robots: Mapping[str, Iterable[_Facts]],
         *,
         states: bool,
@@ -145,7 +145,7 @@ class Notices:
         self,
         taps: Taps,
         tenant: str,
-        unit: StopGroup,
+        unit: RobotUnit,
         leases: _Leases,
         done: set[tuple[str, int]],
     ) -> Work:
@@ -159,7 +159,7 @@ class Notices:
             if number % _STEP == 0:
                 yield
 
-    def _forget(self, taps: Taps, unit: StopGroup) -> None:
+    def _forget(self, taps: Taps, unit: RobotUnit) -> None:
         """Forget a robot of which the last was told, if nothing of it is there any more."""
         if unit in taps.units and not any(taps.units[unit].values()):
             del taps.units[unit]
@@ -179,7 +179,7 @@ class Notices:
             write(taps, "notice", None, tenant, now, state | {"robot": robot_path(unit)})
 
 
-def _state(unit: StopGroup) -> _Facts:
+def _state(unit: RobotUnit) -> _Facts:
     """Describe the state of a robot: whether it can be used, and what holds it."""
     facts: _Facts = {"what": "state", "state": unit.availability}
     if unit.detail:

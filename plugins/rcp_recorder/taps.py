@@ -7,7 +7,7 @@ from collections.abc import Callable
 from rcp_kernel.errors import RcpError
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 from rcp_kernel.tree.samples import Sample, Source
 from rcp_recorder.channels import Channel, Message, note_channel
 from rcp_recorder.sample_channels import SampleChannels
@@ -94,7 +94,7 @@ class Taps:
         self._ends: dict[str, Callable[[], None]] = {}
         self._notes: dict[tuple[str, str | None], Channel] = {}
         self._topics: dict[str, str] = {}
-        self.units: dict[StopGroup, dict[str, bool]] = {}
+        self.units: dict[RobotUnit, dict[str, bool]] = {}
         """The robots of which something is recorded, with the paths of each, and whether they are there now."""
 
     @property

@@ -54,7 +54,7 @@ class Robot:
         client_api: ClientApi,
         rate: float,
         publish: Publish,
-        shelf: PluginStore,
+        store: PluginStore,
         fetch: Fetch | None,
     ) -> None:
         self._config, self._publish, self._rate = config, publish, rate
@@ -71,8 +71,8 @@ class Robot:
         if config.version == "3.0":
             own = {**own, "enableZoneSet": self._enable_zone_set}
         self.work = Work(config, self._link, own, self.changed)
-        store = ZoneStore(shelf, config, self.changed)
-        self._intake = ZoneIntake(config.map, self.work, store, fetch, self.changed)
+        zones = ZoneStore(store, config, self.changed)
+        self._intake = ZoneIntake(config.map, self.work, zones, fetch, self.changed)
         self._due = asyncio.Event()
         self._tasks: set[asyncio.Task[None]] = set()
         self._looks = 0

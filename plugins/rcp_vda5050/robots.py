@@ -53,7 +53,7 @@ class Client:
         robot: RobotConfig,
         client_api: ClientApi,
         tls: ssl.SSLContext | None,
-        shelf: PluginStore,
+        store: PluginStore,
         fetch: Fetch | None,
     ) -> None:
         self._config, self._loop = config, client_api.loop
@@ -61,7 +61,7 @@ class Client:
         self._base = f"{config.interface}/v{major}/{robot.manufacturer}/{robot.serial}"
         self._topics = _TOPICS[robot.version]
         self._broken = "CONNECTIONBROKEN" if major == "2" else "CONNECTION_BROKEN"
-        self.robot = Robot(robot, client_api, config.visualization, self._publish, shelf, fetch)
+        self.robot = Robot(robot, client_api, config.visualization, self._publish, store, fetch)
         self.online = False
         self._waiting = self._bytes = 0
         self._counting = threading.Lock()
@@ -217,12 +217,12 @@ async def open_robots(config: VdaConfig, client_api: ClientApi) -> AsyncGenerato
         fetches = await asyncio.to_thread(_fetches, config)
     except (OSError, ssl.SSLError) as error:
         raise ConfigError(f"plugins.vda5050: `ca` or `certificate`: {error}") from error
-    shelf = client_api.shelf("zones")
-    rows = await asyncio.to_thread(load_rows, shelf)
+    store = client_api.store("zones")
+    rows = await asyncio.to_thread(load_rows, store)
     async with AsyncExitStack() as stack:
         for name, one in config.robots.items():
             try:
-                client = Client(config, one, client_api, tls, shelf, fetches.get(name))
+                client = Client(config, one, client_api, tls, store, fetches.get(name))
             except RcpError as error:
                 where = f"plugins.vda5050.robots.{name}"
                 raise ConfigError(f"{where}: `token`: {error}") from error

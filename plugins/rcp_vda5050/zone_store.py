@@ -37,18 +37,18 @@ class Kept(NamedTuple):
     """Whether the set that was in force has been lost since: only who enables it puts it in force again."""
 
 
-def load_rows(shelf: PluginStore) -> Mapping[str, Any]:
+def load_rows(store: PluginStore) -> Mapping[str, Any]:
     """Return the rows of all robots; blocks."""
-    return shelf.load(unreadable=_UNREADABLE)
+    return store.load(unreadable=_UNREADABLE)
 
 
 class ZoneStore:
     """The rows of one robot; `changed` is called when `late` has changed."""
 
     def __init__(
-        self, shelf: PluginStore, config: RobotConfig, changed: Callable[[], None]
+        self, store: PluginStore, config: RobotConfig, changed: Callable[[], None]
     ) -> None:
-        self._shelf, self._changed = shelf, changed
+        self._store, self._changed = store, changed
         self._key = [config.manufacturer, config.serial, config.map]
         self._count = 0
         self._written = asyncio.Event()
@@ -102,8 +102,8 @@ class ZoneStore:
         self._count += 1
         count = self._count
         self._written.clear()
-        self._shelf.put(msgspec.json.encode(key).decode(), value)
-        self._shelf.settled(lambda: self._settled(count))
+        self._store.put(msgspec.json.encode(key).decode(), value)
+        self._store.settled(lambda: self._settled(count))
 
     def _settled(self, count: int) -> None:
         if count == self._count:

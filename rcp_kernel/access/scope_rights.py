@@ -15,7 +15,7 @@ from rcp_kernel.model import Operation
 from rcp_scheduling.turns import at_once
 
 if TYPE_CHECKING:
-    from rcp_kernel.tree.entry import Entry, StopGroup
+    from rcp_kernel.tree.entry import Entry, RobotUnit
     from rcp_kernel.tree.registry import Registry
     from rcp_kernel.tree.scope import Scope
 
@@ -59,7 +59,7 @@ class ScopeRights:
         """Compute in steps what `may` returns, or without operations what `sees` returns."""
         return self._look(rights, scope.text, scope.entries(self._registry), int(operations))
 
-    def sees_robot(self, rights: Rights, robot: StopGroup, scope: Scope | None = None) -> bool:
+    def sees_robot(self, rights: Rights, robot: RobotUnit, scope: Scope | None = None) -> bool:
         """Return whether a principal sees a resource of a robot, optionally within a scope."""
         own: Iterable[Entry] = robot.own.values()
         place = robot.name
@@ -74,7 +74,7 @@ class ScopeRights:
         place: str,
         entries: Iterable[Entry],
         wanted: int = 0,
-        robot: StopGroup | None = None,
+        robot: RobotUnit | None = None,
     ) -> Generator[None, None, bool]:
         key = place, wanted
         found = self._found.setdefault(rights, {})

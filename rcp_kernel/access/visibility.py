@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
-from rcp_kernel.access.sights import Sights
+from rcp_kernel.access.tree_views import TreeViews
 from rcp_kernel.contract.paths import EVERYTHING, MOST_TOUCHES
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
 from rcp_kernel.values import Encoding, dump
@@ -61,9 +61,9 @@ def names_in(value: Any) -> frozenset[str]:
 class Visibility:
     """Knows the names of all resources and robots, and from whom they are hidden."""
 
-    def __init__(self, registry: Registry, sights: Sights) -> None:
+    def __init__(self, registry: Registry, tree_views: TreeViews) -> None:
         self._registry = registry
-        self._sights = sights
+        self._tree_views = tree_views
         self._named: dict[str, set[str]] = {}
         """The paths of resources by their names without tenant, or without tenant and robot."""
         self._robots: dict[str, set[str]] = {}
@@ -181,7 +181,7 @@ class Visibility:
         """Return whether nothing of a backend is hidden."""
         if "*" not in rights.tenants and tenant not in rights.tenants:
             return False
-        return not self._sights.look(rights).hidden_of(tenant, name).count
+        return not self._tree_views.look(rights).hidden_of(tenant, name).count
 
     def sees_whole(self, rights: Rights, tenant: str | None) -> bool:
         """Return whether nothing of a tenant is hidden; None means all tenants.
@@ -191,4 +191,4 @@ class Visibility:
         held = rights.tenants
         if "*" not in held and tenant not in held:
             return False
-        return self._sights.look(rights).whole(tenant)
+        return self._tree_views.look(rights).whole(tenant)

@@ -11,7 +11,7 @@ import msgspec
 from rcp_kernel.errors import TokenExpired
 
 __all__ = [
-    "HOUSE",
+    "NAMED_BY_OPERATOR",
     "Grants",
     "Keyring",
     "Principal",
@@ -22,7 +22,7 @@ __all__ = [
     "same_rights",
 ]
 
-HOUSE = ("key", "token", "certificate")
+NAMED_BY_OPERATOR = ("key", "token", "certificate")
 """Proofs whose names the operator assigns, so that equal names mean the same person."""
 
 
@@ -109,7 +109,7 @@ def same_rights(one: Principal, other: Principal) -> bool:
 
 
 def _voucher(principal: Principal) -> str:
-    return "house" if principal.proof in HOUSE else principal.proof
+    return "house" if principal.proof in NAMED_BY_OPERATOR else principal.proof
 
 
 def check_time(principal: Principal, moment: int) -> Principal:

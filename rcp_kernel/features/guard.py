@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import msgspec
 
-from rcp_kernel.safety.safety import is_safe
+from rcp_kernel.safety.safe_value import is_safe
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request

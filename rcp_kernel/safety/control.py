@@ -12,9 +12,9 @@ from contextlib import ExitStack
 
 from rcp_kernel.errors import Refused
 from rcp_kernel.model import Kind, Operation
+from rcp_kernel.safety.deadman import Deadman
 from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.safety.retry import retry_until_confirmed
-from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.sessions.command import Command, CommandTable
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, Owner
@@ -43,7 +43,7 @@ class Control:
     def hand_over(self, holder: str, within: Within, heir: Session) -> None:
         """Transfer a holder's running commands on some paths to another session."""
         for command in self._commanded(holder, within):
-            command.asker, command.session = heir, heir.id
+            command.requester, command.session = heir, heir.id
             if not heir.stateless:
                 heir.commands[command.id] = command
 
@@ -116,7 +116,7 @@ class Control:
         return [
             command
             for command in self._commands.running.values()
-            if command.asker is not None
-            and holder in command.asker.holders
+            if command.requester is not None
+            and holder in command.requester.holders
             and within(command.path)
         ]

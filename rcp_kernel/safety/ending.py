@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from rcp_kernel.safety.safety import Deadman
+from rcp_kernel.safety.deadman import Deadman
 from rcp_kernel.sessions.command import Command, CommandTable
 from rcp_kernel.tree.entry import Entry
 

@@ -20,13 +20,13 @@ from rcp_kernel.clock import Clock, iso
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, Forbidden
+from rcp_kernel.safety.deadman import Deadman
 from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.safety.estop_scopes import EstopScopes, latch_keys
-from rcp_kernel.safety.safety import Deadman
 from rcp_kernel.safety.stop import Stop, StopController, merged
 from rcp_kernel.sessions.command import CommandTable
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.tree.entry import Owner, StopGroup
+from rcp_kernel.tree.entry import Owner, RobotUnit
 from rcp_kernel.tree.latches import GATEWAY, Latch, Latches, tenant_key
 from rcp_kernel.types import Time
 from rcp_kernel.wire import Request
@@ -65,7 +65,7 @@ class EstopState(msgspec.Struct, frozen=True):
 
 
 EstopRecorder = Callable[
-    [Session, Request, EstopRequest, dict[str, str | None], list[StopGroup]], None
+    [Session, Request, EstopRequest, dict[str, str | None], list[RobotUnit]], None
 ]
 """Records the keys of the latches that were set or reset, and the robots; must not block."""
 
@@ -106,7 +106,7 @@ class Estop:
         self._record = record
         self._loop = loop
         self._now = clock.now
-        self._due: list[tuple[list[StopGroup], str, str | None]] = []
+        self._due: list[tuple[list[RobotUnit], str, str | None]] = []
         """E-stops whose running commands have not been ended yet."""
         self._ending: set[asyncio.Task[None]] = set()
 
@@ -126,7 +126,7 @@ class Estop:
         return self._state_of(units, wide, tuple(self._settings.config.safety.groups))
 
     def _state_of(
-        self, units: Iterable[StopGroup], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
+        self, units: Iterable[RobotUnit], wide: dict[str, dict[str, Any]], groups: tuple[str, ...]
     ) -> EstopState:
         robots: dict[str, dict[str, Any]] = {}
         released = 0
@@ -170,7 +170,7 @@ class Estop:
         self._record(session, sent, request, keys, fresh)
         return self._halted(session, stops, sent.deadline)
 
-    def _halt_unseen(self, keys: Mapping[str, str | None], robots: list[StopGroup]) -> None:
+    def _halt_unseen(self, keys: Mapping[str, str | None], robots: list[RobotUnit]) -> None:
         """Stop also robots with gateways of their own that have not shown a resource yet."""
         for owner in {robot.owner for robot in robots if robot.owner.has_gateways}:
             whole = owner.unit(None)
@@ -179,7 +179,7 @@ class Estop:
 
     def check(
         self, session: Session, request: EstopRequest
-    ) -> tuple[dict[str, str | None], list[StopGroup]]:
+    ) -> tuple[dict[str, str | None], list[RobotUnit]]:
         """Return the latches and robots that a request means; refuse it as `request` does."""
         keys, robots = self._scopes.resolve(session, request.scope)
         if not request.reset:
@@ -207,8 +207,8 @@ class Estop:
         return sorted(robot.name for robot in robots if robot in seen)
 
     def _reset_latches(
-        self, keys: dict[str, str | None], robots: list[StopGroup]
-    ) -> list[StopGroup]:
+        self, keys: dict[str, str | None], robots: list[RobotUnit]
+    ) -> list[RobotUnit]:
         """Reset the latches here; return the robots that were latched."""
         self._end_due()
         freed = [robot for robot in robots if robot.latch is not None]
@@ -229,7 +229,7 @@ class Estop:
         while self._due:
             self._end_all(*self._due.pop())
 
-    def _end_all(self, robots: list[StopGroup], by: str, reason: str | None) -> None:
+    def _end_all(self, robots: list[RobotUnit], by: str, reason: str | None) -> None:
         """End running, queued and pending requests on stopped robots."""
         entries = [entry for robot in robots for entry in robot.entries.values()]
         paths = {entry.path for entry in entries}
@@ -246,7 +246,7 @@ class Estop:
         why = "emergency stop" + (f": {reason}" if reason else "")
         self._tell_halted(frozenset(paths), by, why)
 
-    async def _again(self, robots: list[StopGroup], ending: list[asyncio.Task[Any]]) -> None:
+    async def _again(self, robots: list[RobotUnit], ending: list[asyncio.Task[Any]]) -> None:
         """Halt again when all cancelled work has ended.
 
         Backends fence it off; for those that do not, the halt must be the last command.
@@ -258,7 +258,7 @@ class Estop:
         return self.state(session)
 
     async def _reset_at_gateways(
-        self, session: Session, robots: Mapping[StopGroup, Latch | None]
+        self, session: Session, robots: Mapping[RobotUnit, Latch | None]
     ) -> EstopState:
         """Ask the gateways of robots to reset their e-stops too.
 
@@ -279,7 +279,7 @@ class Estop:
             )
         return self.state(session)
 
-    async def _reset_at_gateway(self, robot: StopGroup, latch: Latch | None) -> str | None:
+    async def _reset_at_gateway(self, robot: RobotUnit, latch: Latch | None) -> str | None:
         """Ask one robot's own gateway; return why the robot is still latched, or None."""
         try:
             async with asyncio.timeout(HALT_WAIT):

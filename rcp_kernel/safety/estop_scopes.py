@@ -11,13 +11,13 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.errors import Forbidden, UnknownPath
 from rcp_kernel.safety.stop import merged
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.tree.entry import Owner, StopGroup
+from rcp_kernel.tree.entry import Owner, RobotUnit
 from rcp_kernel.tree.latches import GATEWAY, tenant_key
 from rcp_kernel.tree.scope import Scope
 
 __all__ = ["EstopScopes", "latch_keys"]
 
-_Robots = dict[StopGroup, None]
+_Robots = dict[RobotUnit, None]
 """A set in the order of the configuration."""
 
 
@@ -57,7 +57,7 @@ class EstopScopes:
 
     def resolve(
         self, session: Session, scope: str | None
-    ) -> tuple[dict[str, str | None], list[StopGroup]]:
+    ) -> tuple[dict[str, str | None], list[RobotUnit]]:
         """Return the keys of the latches that a scope means, with their tenants, and the robots.
 
         :raises UnknownPath: it contains no robot visible to the session.
@@ -101,17 +101,17 @@ class EstopScopes:
             )
         return tenant_key(session.tenant)
 
-    def _members(self, rights: Rights, group: str, visible: _Robots) -> list[StopGroup]:
+    def _members(self, rights: Rights, group: str, visible: _Robots) -> list[RobotUnit]:
         """List the robots of a group that are visible."""
         found: _Robots = {}
         for scope in self._groups()[group]:
             found |= dict.fromkeys(self._in(rights, Scope(scope), visible))
         return list(found)
 
-    def _in(self, rights: Rights, scope: Scope, visible: _Robots) -> list[StopGroup]:
+    def _in(self, rights: Rights, scope: Scope, visible: _Robots) -> list[RobotUnit]:
         return [unit for unit in visible if self._within(rights, unit, scope)]
 
-    def _with_partners(self, units: list[StopGroup]) -> list[StopGroup]:
+    def _with_partners(self, units: list[RobotUnit]) -> list[RobotUnit]:
         """Add the other backends of the same robots, regardless of visibility."""
         meant = {unit.identity for unit in units}
         partners = (
@@ -123,7 +123,7 @@ class EstopScopes:
         return list(dict.fromkeys((*units, *partners)))
 
     def _widest(
-        self, visible: _Robots, tenants: list[str], robots: list[StopGroup]
+        self, visible: _Robots, tenants: list[str], robots: list[RobotUnit]
     ) -> dict[str, str | None]:
         """Return keys of whole tenants whose robots the session sees all, else of the robots it sees."""
         keys: dict[str, str | None] = {}
@@ -144,7 +144,7 @@ class EstopScopes:
         ]
         return not units or any(unit.own and unit not in visible for unit in units)
 
-    def _within(self, rights: Rights, unit: StopGroup, scope: Scope) -> bool:
+    def _within(self, rights: Rights, unit: RobotUnit, scope: Scope) -> bool:
         if unit.tenant != scope.tenant:
             return False
         if scope.whole or (scope.robot is not None and scope.robot == unit.robot_segment):
@@ -152,7 +152,7 @@ class EstopScopes:
         return self._rights.sees_robot(rights, unit, scope)
 
 
-def latch_keys(units: list[StopGroup]) -> dict[str, str | None]:
+def latch_keys(units: list[RobotUnit]) -> dict[str, str | None]:
     """Return the keys of the latches for robots, those of whole backends where they can be."""
     names = {unit.name: unit.tenant for unit in merged(units)}
     return names | {unit.identity: unit.tenant for unit in units}

@@ -13,11 +13,11 @@ from rcp_kernel.errors import DeviceTimeout
 from rcp_kernel.model import Resource
 from rcp_kernel.safety.ending import end_commands
 from rcp_kernel.spi import MotionState, Progress
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 from rcp_kernel.wire import NO_BODY
 
 if TYPE_CHECKING:
-    from rcp_kernel.safety.safety import Deadman
+    from rcp_kernel.safety.deadman import Deadman
     from rcp_kernel.sessions.command import Command, CommandTable
     from rcp_kernel.sessions.session import Session
 
@@ -47,7 +47,7 @@ def hold_resource(name: str, robot: str | None) -> Resource:
 class Hold:
     """The work of one hold."""
 
-    def __init__(self, units: list[StopGroup], commands: CommandTable, deadman: Deadman) -> None:
+    def __init__(self, units: list[RobotUnit], commands: CommandTable, deadman: Deadman) -> None:
         self._units, self._commands, self._deadman = units, commands, deadman
 
     async def run(self, command: Command, session: Session, progress: Progress) -> Held:

@@ -7,7 +7,7 @@ import asyncio
 import structlog
 
 from rcp_kernel.safety.retry import retry_until_confirmed
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 from rcp_kernel.tree.registry import Registry
 
 __all__ = ["Partners"]
@@ -21,7 +21,7 @@ class Partners:
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
 
-    def of(self, entry: Entry) -> list[StopGroup]:
+    def of(self, entry: Entry) -> list[RobotUnit]:
         """List the other parts of the robot that an entry belongs to, as far as they move."""
         found = (
             other.unit

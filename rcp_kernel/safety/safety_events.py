@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.errors import RcpError
-from rcp_kernel.safety.safety import safe_value
+from rcp_kernel.safety.safe_value import safe_value
 from rcp_kernel.sessions.session import Session
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 from rcp_kernel.wire import Request
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class SafetyEvents:
             count=count,
         )
 
-    def stop_step(self, unit: StopGroup, step: str, detail: str | None) -> None:
+    def stop_step(self, unit: RobotUnit, step: str, detail: str | None) -> None:
         """Report that a robot under an e-stop was confirmed at rest, or that it moves again."""
         self._events.note(
             "stop",
@@ -59,7 +59,7 @@ class SafetyEvents:
             message=detail,
         )
 
-    def recovered(self, unit: StopGroup, command: str, done: str) -> None:
+    def recovered(self, unit: RobotUnit, command: str, done: str) -> None:
         """Report what was done with a robot whose command had been lost with its link."""
         self._events.note(
             "recovery",
@@ -76,7 +76,7 @@ class SafetyEvents:
         request: Request,
         body: EstopRequest,
         keys: dict[str, str | None],
-        robots: list[StopGroup],
+        robots: list[RobotUnit],
     ) -> None:
         """Report an e-stop or its reset: in each tenant its latches and robots."""
         tenants = dict.fromkeys([*keys.values(), *(robot.tenant for robot in robots)])

@@ -23,7 +23,7 @@ from rcp_kernel.contract.fence import unfenced
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout, RcpError
 from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.spi import MotionState
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 
 __all__ = ["Phase", "Stop", "StopController", "merged"]
 
@@ -35,7 +35,7 @@ _REMOTE_PERIODS = 10  # robots with their own gateway are asserted once per this
 _SPLIT_AFTER = 0.25  # s that halting a whole backend may take; then its robots are halted singly
 
 
-StopRecorder = Callable[[StopGroup, str, str | None], None]
+StopRecorder = Callable[[RobotUnit, str, str | None], None]
 """Records that a robot's stop was `confirmed`, or that it `moves_again` and why; must not block."""
 
 
@@ -56,7 +56,7 @@ class Stop:
         "unit",
     )
 
-    def __init__(self, unit: StopGroup) -> None:
+    def __init__(self, unit: RobotUnit) -> None:
         self.unit = unit
         self.requested = now()
         self.commanded: int | None = None
@@ -101,7 +101,7 @@ class StopController:
     def __init__(self, loop: asyncio.AbstractEventLoop, record: StopRecorder) -> None:
         self._loop = loop
         self._record = record
-        self._stops: dict[StopGroup, Stop] = {}
+        self._stops: dict[RobotUnit, Stop] = {}
         self._timer: asyncio.TimerHandle | None = None
         self._turn = 0
         """Which of the robots with gateways of their own had their turn last."""
@@ -113,13 +113,13 @@ class StopController:
         """Register a function to be called after every change of a stop's state."""
         self._watchers.append(changed)
 
-    def of(self, unit: StopGroup) -> Stop | None:
+    def of(self, unit: RobotUnit) -> Stop | None:
         """Return the stop of a robot, if there is one."""
         return self._stops.get(unit)
 
     # -- begin, continue, end ------------------------------------------------------------------
 
-    def begin(self, units: Sequence[StopGroup]) -> list[Stop]:
+    def begin(self, units: Sequence[RobotUnit]) -> list[Stop]:
         """Stop robots now; return their stops. The backends are called before anything else runs."""
         stops = {unit: self._current_or_new(unit) for unit in units}
         for whole, together in merged(units).items():
@@ -130,31 +130,31 @@ class StopController:
         self._schedule()
         return list(stops.values())
 
-    def halt_unseen(self, whole: StopGroup) -> None:
+    def halt_unseen(self, whole: RobotUnit) -> None:
         """Halt all of a backend, in addition to its known robots; nothing waits for it."""
         with unfenced():
             task = self._loop.create_task(whole.halt())
         task.add_done_callback(_consume_outcome)
 
-    def resume(self, unit: StopGroup) -> None:
+    def resume(self, unit: RobotUnit) -> None:
         """Stop a latched robot that is available again; the stop is sent within this call."""
         stop = self._current_or_new(unit)
         self._assert(stop)
         self._halt(stop)
         self._schedule()
 
-    def again(self, units: Iterable[StopGroup]) -> None:
+    def again(self, units: Iterable[RobotUnit]) -> None:
         """Halt robots once more: cancelled work has ended, and may have sent something last."""
         for unit in units:
             stop = self._stops.get(unit)
             if stop is not None and unit.latch is not None:
                 self._halt(stop)
 
-    def has_partners(self, unit: StopGroup) -> bool:
+    def has_partners(self, unit: RobotUnit) -> bool:
         """Return whether another backend of the same robot is stopped too."""
         return any(other.identity == unit.identity and other is not unit for other in self._stops)
 
-    def end(self, units: Iterable[StopGroup]) -> None:
+    def end(self, units: Iterable[RobotUnit]) -> None:
         """Release robots whose latch was reset; a halt in progress ends by itself."""
         for unit in units:
             stop = self._stops.pop(unit, None)
@@ -191,7 +191,7 @@ class StopController:
 
     # -- the halts -----------------------------------------------------------------------------
 
-    def _current_or_new(self, unit: StopGroup) -> Stop:
+    def _current_or_new(self, unit: RobotUnit) -> Stop:
         """Return the stop in progress of a robot, or a new one to be confirmed."""
         old = self._stops.get(unit)
         if old is not None and old.confirmed is None:
@@ -241,7 +241,7 @@ class StopController:
         if stop.confirmed is None and not stop.released:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
 
-    def _halt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
+    def _halt_together(self, whole: RobotUnit, stops: list[Stop]) -> None:
         """Halt all robots of a backend with one call; one by one if that fails or takes too long."""
 
         def alone() -> None:
@@ -266,7 +266,7 @@ class StopController:
         if stop.confirmed is None and not stop.released and not stop.tasks:
             self._retry_halt(stop)
 
-    async def _attempt_together(self, whole: StopGroup, stops: list[Stop]) -> None:
+    async def _attempt_together(self, whole: RobotUnit, stops: list[Stop]) -> None:
         try:
             for stop in stops:
                 stop.attempts += 1
@@ -393,7 +393,7 @@ def _consume_outcome(task: asyncio.Task[None]) -> None:
         task.exception()
 
 
-def merged(units: Iterable[StopGroup]) -> dict[StopGroup, list[StopGroup]]:
+def merged(units: Iterable[RobotUnit]) -> dict[RobotUnit, list[RobotUnit]]:
     """Group robots by what stops them in one call: the whole backend where all of it is meant."""
     meant = dict.fromkeys(units)
     complete = {  # each backend is examined once: it may have thousands of robots
@@ -401,7 +401,7 @@ def merged(units: Iterable[StopGroup]) -> dict[StopGroup, list[StopGroup]]:
         for whole in {unit.whole for unit in meant}
         if whole in meant or meant.keys() >= set(whole.owner.units)
     }
-    groups: dict[StopGroup, list[StopGroup]] = {}
+    groups: dict[RobotUnit, list[RobotUnit]] = {}
     for unit in meant:
         groups.setdefault(unit.whole if unit.whole in complete else unit, []).append(unit)
     return groups

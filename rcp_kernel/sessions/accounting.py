@@ -133,10 +133,10 @@ class SessionAccounting:
             except Exception:
                 log.exception("accounting_failed", feature=type(part).__module__)
         for command in self._running.values():
-            if command.asker is not None:
-                self.update(command.asker)
-                if command.asker.account is not None:
-                    count_command(command.asker.account, command)
+            if command.requester is not None:
+                self.update(command.requester)
+                if command.requester.account is not None:
+                    count_command(command.requester.account, command)
 
 
 def count_command(account: SessionAccount, command: Command) -> None:

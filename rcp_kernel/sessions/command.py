@@ -176,7 +176,7 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     finished: int | None = None
     history: list[Record] = []
     session: str | None = None
-    asker: Session | None = None
+    requester: Session | None = None
     """In whose name it runs; None once it has ended."""
     request: Request | None = None
     """The request that started it; None once it has ended."""

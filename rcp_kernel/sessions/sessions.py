@@ -180,7 +180,7 @@ class Sessions:
     def review(self) -> None:
         """Apply new rules to every session; end those with invalid credentials."""
         for command in self._commands.running.values():  # pending work of principals
-            if (requester := command.asker) is not None:
+            if (requester := command.requester) is not None:
                 principal = self._identities.renewed(requester.principal)
                 if principal is None:
                     requester.rights = Rights((), {})

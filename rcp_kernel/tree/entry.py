@@ -36,7 +36,7 @@ __all__ = [
     "Listener",
     "LostCommand",
     "Owner",
-    "StopGroup",
+    "RobotUnit",
     "is_system",
 ]
 
@@ -87,11 +87,11 @@ class Owner(Protocol):
         ...
 
     @property
-    def units(self) -> list[StopGroup]:
+    def units(self) -> list[RobotUnit]:
         """The stop groups of the backend."""
         ...
 
-    def unit(self, robot: str | None) -> StopGroup:
+    def unit(self, robot: str | None) -> RobotUnit:
         """Return a stop group: one of its robots, or all of them."""
         ...
 
@@ -314,7 +314,7 @@ class LostCommand:
     """Number of stops before it began."""
 
 
-class StopGroup:
+class RobotUnit:
     """What an e-stop stops as a whole: all robots of a backend, or one that it can halt alone."""
 
     __slots__ = (
@@ -348,7 +348,7 @@ class StopGroup:
         self.owner = owner
         self.robot = robot
         """The one robot's name in the tree; None means all of the backend."""
-        self.whole: StopGroup = self if robot is None else owner.unit(None)
+        self.whole: RobotUnit = self if robot is None else owner.unit(None)
         self.name = owner.name if robot is None else f"{owner.name}/{robot}"
         """Its name in errors and in the status; also one of its latches' keys, see `keys`."""
         tenant = "" if owner.tenant is None else tenant_key(owner.tenant)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from rcp_kernel.clock import Clock
 from rcp_kernel.errors import PluginError, RcpError
 from rcp_kernel.model import Kind, Pattern, Resource, full_path, kind_of
-from rcp_kernel.tree.entry import Entry, Owner, StopGroup
+from rcp_kernel.tree.entry import Entry, Owner, RobotUnit
 from rcp_kernel.values import value_type
 
 __all__ = ["Registry"]
@@ -34,7 +34,7 @@ class Registry:
         self.on_removed: list[Callable[[Entry], None]] = []
         self.on_state: list[Callable[[], None]] = []
         """Called when the state of some robot, or what is known about it, may have changed."""
-        self.on_leases: list[Callable[[StopGroup], None]] = []
+        self.on_leases: list[Callable[[RobotUnit], None]] = []
         """Called when a robot's own gateway has said who holds leases on it."""
         self._growing: list[Owner] = []
         """Backends that have not declared all that they may have."""
@@ -93,7 +93,7 @@ class Registry:
         for callback in self.on_state:
             callback()
 
-    def leases_told(self, unit: StopGroup) -> None:
+    def leases_told(self, unit: RobotUnit) -> None:
         """Announce that a robot's own gateway has reported the leases on it."""
         for callback in self.on_leases:
             callback(unit)

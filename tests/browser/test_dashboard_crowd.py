@@ -84,7 +84,7 @@ async def test_hundreds_of_robots_are_looked_over(browser: Browser) -> None:
             assert await longest(page) < LONGEST
             last = page.locator(f'[data-robot="robot-{ROBOTS - 1}"]')
             await expect(last).not_to_contain_text(", 0.00 m")  # nobody looks at it
-            known = gateway.served.server.kernel.sessions.known.values()
+            known = gateway.served.server.gateway.sessions.known.values()
             assert sum(len(one.subscriptions) for one in known) < ROBOTS / 2
             await last.scroll_into_view_if_needed()
             await expect(last).to_contain_text(", 0.00 m")

@@ -187,13 +187,13 @@ async def test_who_loses_a_right_or_the_key_while_looking_is_told_and_logs_in_in
 async def rekey(gateway: World, spare: str | None) -> None:
     """Read another configuration, as at a SIGHUP, in which the spare key has another role or is gone."""
     server = gateway.served.server
-    config = server.kernel.settings.config
+    config = server.gateway.settings.config
     keys = [
         msgspec.structs.replace(key, role=spare) if key.name == "spare" else key
         for key in config.keys
         if key.name != "spare" or spare is not None
     ]
-    server.kernel.reconfigure(msgspec.structs.replace(config, keys=tuple(keys)))
+    server.gateway.reconfigure(msgspec.structs.replace(config, keys=tuple(keys)))
 
 
 async def test_a_page_of_another_version_of_the_gateway_says_so_and_is_never_blank(

@@ -64,7 +64,7 @@ def keys(folder: Path, gateway: Site) -> TokenFile:
 
 def knows(gateway: Site, token: str) -> bool:
     try:
-        return gateway.server.kernel.identities.known(token) is not None
+        return gateway.server.gateway.identities.known(token) is not None
     except Unauthenticated:
         return False
 
@@ -120,7 +120,7 @@ async def test_a_page_of_another_port_does_not_act_for_who_is_logged_in(
         found = await page.evaluate(_STOLEN, [gateway.url + LIMIT, gateway.ws])
         assert found[0] == found[1] == found[3] == "blocked"
         assert found[2] in ("blocked", "opaque")
-        entry = gateway.server.kernel.registry.entries["/tenant/alpha/param/limit"]
+        entry = gateway.server.gateway.registry.entries["/tenant/alpha/param/limit"]
         assert entry.latest is not None
         assert entry.latest.value == 1.0
         own = await tab.page.evaluate(_STOLEN, [gateway.url + LIMIT, gateway.ws])

@@ -27,7 +27,7 @@ async def attempts(page: Page, gateway: Site, host: str = "127.0.0.1") -> dict[s
 
 def untouched(gateway: Site) -> bool:
     """Tell whether no command ran, nothing was written, and nobody has a session."""
-    kernel = gateway.server.kernel
+    kernel = gateway.server.gateway
     asked = {type_ for _, type_, code in kernel.counts.outcomes if code == "ok"}
     return (
         not list(kernel.commands.every())
@@ -43,7 +43,7 @@ def kept_out(found: dict[str, str], gateway: Site) -> None:
     assert len(found) > 25
     refused = sum(
         n
-        for (_, _, code), n in gateway.server.kernel.counts.outcomes.items()
+        for (_, _, code), n in gateway.server.gateway.counts.outcomes.items()
         if code == "forbidden"
     )
     assert refused > 20, "the attempts have not come as far as the gateway"

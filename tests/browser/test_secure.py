@@ -27,13 +27,13 @@ async def test_pages_over_tls_are_told_apart_by_their_scheme_too(
         own = await page.evaluate(ATTEMPTS, urls)
         for attempt in ("get", "put", "execute", "events", "websocket", "websocket of json"):
             assert own[attempt].startswith("read: "), (attempt, own[attempt])
-        gateway.server.kernel.counts.outcomes.clear()
+        gateway.server.gateway.counts.outcomes.clear()
         await page.goto(plain.url)
         found = await page.evaluate(ATTEMPTS, urls)
         assert set(found.values()) <= {"blocked", "opaque"}
         asked = {
             code
-            for _, type_, code in gateway.server.kernel.counts.outcomes
+            for _, type_, code in gateway.server.gateway.counts.outcomes
             if type_ != "connection"
         }
         assert asked == {"forbidden"}

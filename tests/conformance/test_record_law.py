@@ -193,9 +193,9 @@ async def told(law: Law, done: list[Act], *, all_of_it: bool) -> tuple[dict[str,
             body = {"qos": {"depth": 1000}}
             await ask(type="subscribe", id=name, path=f"/system/{name}", body=body)
         dark = {await happen(world, actor, act, law, all_of_it=all_of_it) for act in done}
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         await ask(type="write", path=f"/tenant/{law.tenants[0]}/param/mark", body=1)
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         found: dict[str, Any] = {"audit": await _until_mark(reader, "audit")}
         structlog.get_logger("law").warning(
             "mark", path=f"/tenant/{law.tenants[0]}/sensor/{'x' * 9}"

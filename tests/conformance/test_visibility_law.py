@@ -73,7 +73,7 @@ class Bench:
     """One gateway for every example, and one client."""
 
     def __init__(self, served: Served, gardens: list[Garden], client: Client, wire: str) -> None:
-        self.kernel = served.server.kernel
+        self.gateway = served.server.gateway
         self.gardens = dict(zip(("alpha", "beta"), gardens, strict=True))
         self.client = client
         self.wire = wire
@@ -254,8 +254,8 @@ async def test_nobody_is_told_of_what_is_hidden(
     for tenant, garden in bench.gardens.items():
         garden.grow(tree[tenant])
     model = Model(tree, named, held)
-    bench.kernel.reconfigure(configured(named, held))
-    for session in bench.kernel.sessions.known.values():
+    bench.gateway.reconfigure(configured(named, held))
+    for session in bench.gateway.sessions.known.values():
         session.tenant = model.tenants[0]  # as a client of these grants would have it
     bench.client.inbox.clear()
     bench.shown += len(model.visible())
@@ -351,7 +351,7 @@ async def test_an_open_subscription_follows_rules_and_tree_and_tells_of_nothing_
     for number, (tree, named, held) in enumerate(steps):
         model = Model(tree, named, held)
         client.inbox.clear()
-        bench.kernel.reconfigure(configured(named, held))
+        bench.gateway.reconfigure(configured(named, held))
         for tenant, garden in bench.gardens.items():
             garden.grow(tree[tenant])
         if id_ is None:

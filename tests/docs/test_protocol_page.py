@@ -11,7 +11,7 @@ import pytest
 from docs.pages import DOCS, keys, rows, section
 from kernel.world import features_of
 from rcp_approvals import ApprovalRequest
-from rcp_gateway.kernel import Kernel
+from rcp_gateway.gateway import Gateway
 from rcp_gateway.log import Recent
 from rcp_gateway.system import EstopRequest
 from rcp_kernel.access.acl import Rights
@@ -99,15 +99,15 @@ async def test_the_system_branch_and_the_metrics_are_told() -> None:
     loop = asyncio.get_running_loop()
     config = GatewayConfig()
     features = features_of(config)
-    kernel = Kernel(
+    gateway = Gateway(
         config, loop, store=Store(), recent=Recent(), clock=SYSTEM_CLOCK, features=features
     )
     documented = {row[0].strip("`"): row[1] for row in rows(section(PAGE, "System branch"))}
     assert documented == {
         path: ", ".join(sorted(operation_names(entry.operations), key=_told_order))
-        for path, entry in kernel.registry.entries.items()
+        for path, entry in gateway.registry.entries.items()
     }
-    text = finished(kernel.exposition.write(Rights((), {})))
+    text = finished(gateway.exposition.write(Rights((), {})))
     families = {m.split("# TYPE ")[1].split()[0] for m in _types(text)}
     assert set(keys(section(PAGE, "Health and metrics"))) - families == set()
     assert {name for name in families if name.startswith("rcp_")} == {

@@ -363,7 +363,7 @@ async def campaign(cuts: int, *, alone: bool) -> Counter[str]:
             await asyncio.gather(*tasks)
         listening.cancel()
         await asyncio.gather(listening, return_exceptions=True)
-        link = robot.server.kernel.status.transports[0]["links"]
+        link = robot.server.gateway.status.transports[0]["links"]
         for row in link:
             one.counts["links"] += row["links"]
             one.counts["links ended by a loss"] += row["lost"]

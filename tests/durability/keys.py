@@ -123,7 +123,7 @@ def live(folder: Path, life: int, envelope: dict[str, Any], place: str) -> None:
 
         connection = server.client_api.connect(principal, Encoding.JSON, flush)
         idle = asyncio.Event()
-        server.kernel.store.settled(idle.set)
+        server.gateway.store.settled(idle.set)
         await idle.wait()  # or the thread would die of what it wrote before
         phase = "sent"
         connection.receive(json.dumps({"id": f"{life}", **envelope}).encode())

@@ -38,7 +38,7 @@ def store(*words: str | Path, code: int = 0) -> str:
 async def wrote(world: World, value: float) -> None:
     done = await world.client().ask(type="write", path=LIMIT, body=value)
     assert done["status"] == "completed", done.get("error") or done
-    await settled(world.server.kernel.store)
+    await settled(world.server.gateway.store)
 
 
 async def stop_and_reset(world: World) -> None:
@@ -65,7 +65,7 @@ async def latched(world: World) -> Any:
 async def test_a_backup_under_load_is_whole_and_holds_nobody_up(tmp_path: Path) -> None:
     path, file = tmp_path / "store.db", tmp_path / "backup.db"
     async with world_of(kept_in(path)) as world:
-        events, kept = world.server.kernel.event_bus, world.server.kernel.store
+        events, kept = world.server.gateway.event_bus, world.server.gateway.store
         for number in range(RECORDS):
             events.note("login", principal=None, message="x" * 400, number=number)
         await settled(kept)

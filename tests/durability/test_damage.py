@@ -37,7 +37,7 @@ async def fill(world: World) -> None:
     for number in range(WRITES):
         await client.ask(type="write", path=LIMIT, body=number / 100)
     await client.ask(type="execute", path="/system/estop", body={"reason": "smoke"})
-    await settled(world.server.kernel.store)
+    await settled(world.server.gateway.store)
 
 
 @pytest.fixture(scope="module")

@@ -52,7 +52,7 @@ async def test_a_store_that_is_lost_is_noticed_and_nothing_moves(tmp_path: Path,
     async with world_of(kept_in(path)) as world:
         client = world.client(ADMIN)
         assert (await client.ask(type="status"))["body"]["state"] == "ok"
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         lose(path)
         async with asyncio.timeout(BOUND):
             status: dict[str, Any] = {"state": "ok"}
@@ -73,7 +73,7 @@ async def test_a_store_that_is_lost_is_noticed_and_nothing_moves(tmp_path: Path,
 async def test_a_head_file_that_is_deleted_is_made_anew(tmp_path: Path) -> None:
     path = tmp_path / "store.db"
     async with world_of(kept_in(path)) as world:
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         beside(path).unlink()
         async with asyncio.timeout(BOUND):
             while not beside(path).exists():

@@ -184,7 +184,7 @@ async def _serve(folder: Path) -> None:
     made = Prepared(config, bare.plugins, options, bare.transports, bare.adapters, bare.features)
     async with running(made) as server:
         loop = asyncio.get_running_loop()
-        with collected_at_rest(loop, lambda: server.kernel.moving):
+        with collected_at_rest(loop, lambda: server.gateway.moving):
             url = next(f["url"] for f in server.status.transports if "url" in f)
             sys.stdout.write(f"{url}\n")
             sys.stdout.flush()

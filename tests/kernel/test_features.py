@@ -197,7 +197,7 @@ async def test_a_listener_with_a_bug_keeps_neither_a_session_nor_a_stop_from_its
         client, other = (Client(server.client_api, "operator-operator") for _ in range(2))
         with capture_logs() as said:
             other.connection.close()
-            server.kernel.sessions.review()
+            server.gateway.sessions.review()
             reply = await client.ask(type="execute", path="/system/estop", body={})
         assert reply["body"]["active"]
         what = ("session", "rights", "halted")
@@ -351,7 +351,7 @@ async def test_a_reload_changes_the_keys_of_features_and_neither_adds_nor_remove
     file = tmp_path / "rcp.toml"
     file.write_text(QUIET)
     async with running(prepare(load(file), str(file))) as server:
-        admission = server.kernel.admission
+        admission = server.gateway.admission
         assert admission.other_guards == ()
         file.write_text(QUIET + ASKS)
         await reload(server, file)

@@ -188,7 +188,7 @@ async def test_an_idle_guard_is_not_called_until_it_is_idle_no_more(
 
 async def test_a_feature_whose_guard_is_not_active_hears_nothing() -> None:
     async with zoned() as world:
-        kernel, zone = world.server.kernel, world.zone
+        kernel, zone = world.server.gateway, world.zone
         zone.active = False
         kernel.reconfigure(kernel.settings.config)
         assert (await world.client().ask(**GO))["status"] == "completed"
@@ -286,7 +286,7 @@ async def test_it_stops_an_actuator_and_cancels_what_runs() -> None:
         await world.robot.started.get()
         assert list(control.running(DRIVE)) == []
         (command,) = control.running("/tenant/alpha/action/go")
-        assert command.asker is client.connection.session
+        assert command.requester is client.connection.session
         control.cancel(command, "left its zone")
         assert "left its zone" in (await client.final(moving))["message"]
 

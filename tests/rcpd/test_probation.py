@@ -39,7 +39,7 @@ class _Gateway:
         self.path, self.server, self.restarts = path, server, 0
         self.records: list[Event] = []
         self.on_event: Hear = self._heard
-        server.kernel.event_bus.listeners.append(self)
+        server.gateway.event_bus.listeners.append(self)
         self.file = ConfigurationFile(path)
         self.file.start()
         self.probation = Probation(server, self.file, self._restart)
@@ -62,7 +62,7 @@ class _Gateway:
 
     @property
     def keys(self) -> list[str]:
-        return [one.name for one in self.server.kernel.settings.config.keys]
+        return [one.name for one in self.server.gateway.settings.config.keys]
 
     async def is_in(self, phase: str) -> FileState:
         async def reached() -> bool:

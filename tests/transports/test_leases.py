@@ -52,12 +52,12 @@ class Clients:
     @property
     def connected(self) -> bool:
         """Whether anybody has a connection."""
-        known = self._server.kernel.sessions.known
+        known = self._server.gateway.sessions.known
         return any(one.connection is not None for one in known.values())
 
     def reconfigure(self, to: GatewayConfig) -> None:
         """Change the rules of the running gateway."""
-        self._server.kernel.reconfigure(to)
+        self._server.gateway.reconfigure(to)
 
     def _kept(self, client: C) -> C:
         self._stack.push_async_callback(client.close)

@@ -58,7 +58,7 @@ async def test_one_address_cannot_take_every_place() -> None:
         async with from_address(gateway, "127.0.0.2") as other:
             other.send(GET)
             assert (await other.reader.readline()).startswith(b"HTTP/1.1 200")
-        assert gateway.server.kernel.counts.outcomes["asgi", "connection", "queue_full"] == 1
+        assert gateway.server.gateway.counts.outcomes["asgi", "connection", "queue_full"] == 1
         held.send(frame(8))
         await held.ended()
         async with opened(gateway):
@@ -85,7 +85,7 @@ async def test_over_tls_one_too_many_is_cut_before_the_handshake(tmp_path: Path)
         async with connected(gateway) as second:
             await second.ended()
         first.writer.close()
-        counts = gateway.server.kernel.counts.outcomes
+        counts = gateway.server.gateway.counts.outcomes
         await until(lambda: ("asgi", "connection", "tls") in counts)
         async with connected(gateway) as third:
             third.send(b"\x16\x03\x01")
@@ -204,7 +204,7 @@ async def test_a_websocket_that_answers_no_ping_is_cut() -> None:
             while head := await raw.reader.read(2):
                 pings += head == b"\x89\x00"
         assert pings == 2
-        await until(lambda: not gateway.server.kernel.sessions.known)
+        await until(lambda: not gateway.server.gateway.sessions.known)
 
 
 # -- requests that mean to be taken for others -----------------------------------------------------

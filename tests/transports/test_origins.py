@@ -95,7 +95,7 @@ async def test_a_foreign_origin_gets_nothing_by_any_method(origin: str) -> None:
         assert (await http.options(LIMIT, headers=preflight)).status_code == 403
         with pytest.raises(InvalidStatus, match="403"):
             await connect(gateway.ws, origin=origin).__aenter__()  # type: ignore[arg-type]
-        assert not gateway.server.kernel.sessions.known
+        assert not gateway.server.gateway.sessions.known
 
 
 @pytest.mark.parametrize("site_", ["cross-site", "same-site"])

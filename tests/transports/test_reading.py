@@ -87,7 +87,7 @@ class Reading(RuleBasedStateMachine):
 
     @property
     def session(self) -> Session:
-        return self.place.server.kernel.sessions.known[self.hello["session"]]
+        return self.place.server.gateway.sessions.known[self.hello["session"]]
 
     def greeted(self, reply: dict[str, Any]) -> None:
         assert reply["status"] == "completed", reply
@@ -197,7 +197,7 @@ class ScriptedReading(Reading):
             self.all_is_answered()
         finally:
             self.socket.lose(1000)
-            self.place.server.kernel.sessions.drop(self.session)
+            self.place.server.gateway.sessions.drop(self.session)
 
 
 class ScriptedReturning(ScriptedReading):
@@ -205,7 +205,7 @@ class ScriptedReturning(ScriptedReading):
 
     @property
     def handled(self) -> int:
-        return sum(self.place.server.kernel.counts.outcomes.values())
+        return sum(self.place.server.gateway.counts.outcomes.values())
 
     @rule(segmented=st.booleans(), late=st.integers(0, 3))
     def come_back(self, *, segmented: bool, late: int) -> None:
@@ -321,7 +321,7 @@ class RealReading(Reading):
         finally:
             self.raw.writer.transport.abort()
             self.place.do(self._stack.aclose())
-            self.place.server.kernel.sessions.drop(self.session)
+            self.place.server.gateway.sessions.drop(self.session)
 
 
 @pytest.mark.parametrize("model", [ScriptedReading, ScriptedReturning])

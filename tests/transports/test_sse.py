@@ -166,7 +166,7 @@ async def test_somebody_elses_stream_is_not_taken_over(http: httpx.AsyncClient) 
 async def test_an_ended_stream_leaves_no_session(http: httpx.AsyncClient, gateway: Site) -> None:
     async with stream(http, f"{EVENTS}?path=/sensor/text&count=1") as events:
         await events.rest()
-    await until(lambda: not gateway.server.kernel.sessions.known)
+    await until(lambda: not gateway.server.gateway.sessions.known)
 
 
 async def test_the_comment_keeps_a_quiet_stream_awake() -> None:
@@ -252,5 +252,5 @@ def test_an_id_that_is_none_is_not_one(text: str | None) -> None:
 
 
 def _connections(gateway: Site) -> list[Any]:
-    known = gateway.server.kernel.sessions.known.values()
+    known = gateway.server.gateway.sessions.known.values()
     return [session.connection for session in known if session.connection is not None]

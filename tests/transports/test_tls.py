@@ -151,7 +151,7 @@ async def test_old_versions_of_tls_are_not_spoken(ca: Authority) -> None:
             context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_1
         with pytest.raises(OSError):  # noqa: PT011 - an alert, or a reset that overtook it
             await asyncio.open_connection("127.0.0.1", gateway.port, ssl=context)
-        counts = gateway.server.kernel.counts.outcomes
+        counts = gateway.server.gateway.counts.outcomes
         await until(lambda: counts.get(("asgi", "connection", "tls")) == 1)
 
 
@@ -297,7 +297,7 @@ async def test_a_certificate_proves_who_it_is_on_every_transport(ca: Authority) 
         async with socket_to(gateway, trusting(ca, anna)) as wire:
             hello = (await ask(wire, type="hello"))["body"]
             assert (hello["principal"], hello["tenants"]) == ("anna", ["alpha"])
-            principal = next(iter(gateway.server.kernel.sessions.known.values())).principal
+            principal = next(iter(gateway.server.gateway.sessions.known.values())).principal
             assert principal.proof == "certificate"
             assert principal.expires is not None
             assert len(principal.credential or "") == 64
@@ -394,7 +394,7 @@ async def test_a_mapping_taken_out_ends_its_sessions(ca: Authority) -> None:
     anna = ca.sign("anna")
     async with mutual(ca) as gateway, socket_to(gateway, trusting(ca, anna)) as wire:
         assert (await ask(wire, type="hello"))["status"] == "completed"
-        kernel = gateway.server.kernel
+        kernel = gateway.server.gateway
         from msgspec.structs import replace
 
         kernel.reconfigure(

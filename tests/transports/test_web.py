@@ -12,7 +12,7 @@ from litestar.params import FromPath
 from litestar.types import ASGIApp
 
 from rcp_kernel.errors import Forbidden
-from rcp_web.application import Application, Asked, response, scope_of
+from rcp_web.application import Application, WebRequest, response, scope_of
 from rcp_web.calls import call, parameters_of, query
 
 pytestmark = pytest.mark.anyio
@@ -23,7 +23,9 @@ class Things(Controller):
     path = "/rcp/things"
 
     @get(**call("List things.", LIMIT, responses={"200": {"description": "Things."}}))
-    async def several(self, names: NamedDependency[tuple[str, ...]], request: Asked) -> ASGIApp:
+    async def several(
+        self, names: NamedDependency[tuple[str, ...]], request: WebRequest
+    ) -> ASGIApp:
         told = {"names": names, "root": scope_of(request)["root_path"]}
         return response(200, json.dumps(told).encode())
 
@@ -42,7 +44,7 @@ class Things(Controller):
 
 @pytest.fixture
 def app() -> Application:
-    def names(request: Asked) -> tuple[str, ...]:
+    def names(request: WebRequest) -> tuple[str, ...]:
         return parameters_of(request)
 
     return Application(

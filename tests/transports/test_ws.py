@@ -180,7 +180,7 @@ async def test_updates_of_megabytes_delay_nobody_and_do_not_pile_up(gateway: Sit
         await quick.ask(type="subscribe", id="q", path="/sensor/text", body={"initial": False})
         outboxes = [
             session.connection.outbox
-            for session in gateway.server.kernel.sessions.known.values()
+            for session in gateway.server.gateway.sessions.known.values()
             if session.connection is not None
         ]
         for number in range(20):
@@ -199,7 +199,7 @@ async def test_from_a_client_that_takes_no_replies_nothing_more_is_read(gateway:
         ask = json.dumps({"type": "read", "id": "r", "path": "/sensor/text"})
         raw.ask(type="ping", id="first")
         await raw.reply()
-        session = next(iter(gateway.server.kernel.sessions.known.values()))
+        session = next(iter(gateway.server.gateway.sessions.known.values()))
         assert session.connection is not None
         control = session.connection.outbox.control
         from transports.raw import TEXT, frame
@@ -226,14 +226,14 @@ async def test_when_the_gateway_stops_clients_are_told() -> None:
 async def test_a_session_whose_key_is_gone_is_told_and_closed(gateway: Site) -> None:
     async with client(gateway) as peer:
         await peer.ask(type="ping", id="1")
-        config = gateway.server.kernel.settings.config
-        gateway.server.kernel.reconfigure(msgspec.structs.replace(config, keys=()))
+        config = gateway.server.gateway.settings.config
+        gateway.server.gateway.reconfigure(msgspec.structs.replace(config, keys=()))
         assert (await peer.next())["error"]["code"] == "token_expired"
         with pytest.raises(ConnectionClosed) as closed:
             await peer.next()
         assert closed.value.rcvd is not None
         assert closed.value.rcvd.code == 1008
-    await until(lambda: not gateway.server.kernel.sessions.known)
+    await until(lambda: not gateway.server.gateway.sessions.known)
 
 
 async def test_nothing_more_is_written_once_a_socket_is_found_broken(
@@ -256,7 +256,7 @@ async def test_nothing_more_is_written_once_a_socket_is_found_broken(
     sock.close()  # a reset: the gateway finds out by writing
     for _ in range(20):
         gateway.robot.host.publish("sensor/text", "x" * 20_000)
-    sessions = gateway.server.kernel.sessions
+    sessions = gateway.server.gateway.sessions
     await until(lambda: not any(session.connection for session in sessions.known.values()))
     log.removeHandler(caplog.handler)
     assert not [record for record in caplog.records if "socket.send" in record.getMessage()]

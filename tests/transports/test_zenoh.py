@@ -200,7 +200,7 @@ async def test_status_shows_each_link() -> None:
     async with _fleet() as (_, robot, _client):
 
         def link() -> dict[str, Any]:
-            (transport,) = robot.server.kernel.status.transports
+            (transport,) = robot.server.gateway.status.transports
             return transport["links"][0]
 
         await _comes(lambda: "latency" in link(), "the link is measured")
@@ -225,7 +225,7 @@ async def test_a_budget_skips_updates_and_delays_no_command() -> None:
         publish = partial(robot.life.host.publish, "event/note")
         path = "/tenant/alpha/event/r7/note"
         id_ = await client.subscribe(path, qos={"depth": 100}, initial=False)
-        (transport,) = robot.server.kernel.status.transports
+        (transport,) = robot.server.gateway.status.transports
         row, loop = transport["links"][0], asyncio.get_running_loop()
         await _comes(lambda: "sent" in row, "the link is measured")
         before, began = row["sent"], loop.time()

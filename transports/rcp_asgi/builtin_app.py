@@ -13,7 +13,7 @@ from rcp_asgi.openapi import Documents
 from rcp_gateway.api import Session, SharedWork
 from rcp_gateway.client_api import Asgi, ClientApi
 from rcp_kernel.errors import Forbidden, RcpError
-from rcp_web.application import Application, Asked, scope_of
+from rcp_web.application import Application, WebRequest, scope_of
 from rcp_web.asgi import session_of
 
 __all__ = ["OWN", "builtin_app"]
@@ -32,14 +32,14 @@ class Services(NamedTuple):
     documents: Documents
     scrapes: SharedWork[bytes]
 
-    async def session(self, request: Asked) -> Session:
+    async def session(self, request: WebRequest) -> Session:
         """Return the caller's session.
 
         :raises RcpError: see `session_of`.
         """
         return await session_of(self.client_api, scope_of(request))
 
-    async def sees_all(self, request: Asked) -> bool:
+    async def sees_all(self, request: WebRequest) -> bool:
         """Return whether the caller may see every tenant."""
         try:
             return "*" in (await self.session(request)).rights.tenants
@@ -62,7 +62,7 @@ class Health(Controller):
 
     @get("/readyz")
     async def readyz(
-        self, request: Asked, services: NamedDependency[Services]
+        self, request: WebRequest, services: NamedDependency[Services]
     ) -> Response[dict[str, Any]]:
         """Report whether every backend is ready; lists them for callers who may see all tenants."""
         ready, states = services.client_api.ready()
@@ -95,7 +95,7 @@ class About(Controller):
         return Response(await services.documents.written(session), media_type="application/json")
 
     @get(["/", "/rcp/v1"], sync_to_thread=False)
-    def index(self, request: Asked, services: NamedDependency[Services]) -> Response[str]:
+    def index(self, request: WebRequest, services: NamedDependency[Services]) -> Response[str]:
         """Return the index page."""
         html = "text/html" in request.headers.get("accept", "")
         media = "text/html" if html else "text/plain"
@@ -119,5 +119,5 @@ def builtin_app(client_api: ClientApi) -> Asgi:
     )
 
 
-async def _session(request: Asked, services: NamedDependency[Services]) -> Session:
+async def _session(request: WebRequest, services: NamedDependency[Services]) -> Session:
     return await services.session(request)

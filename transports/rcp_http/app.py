@@ -19,7 +19,7 @@ from rcp_http.request import HttpRequest
 from rcp_kernel.errors import InvalidPath, RcpError, UnknownPath
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import encode_reply, failure
-from rcp_web.application import Application, Asked, scope_of
+from rcp_web.application import Application, WebRequest, scope_of
 from rcp_web.asgi import MEDIA, Receive, Scope, Send, respond
 from rcp_web.calls import parameters_of
 from rcp_web.ranges import range_headers
@@ -79,7 +79,7 @@ class HttpApp:
     def _get_client_api(self) -> ClientApi:
         return self._client_api
 
-    async def _call(self, request: Asked) -> Call:
+    async def _call(self, request: WebRequest) -> Call:
         http: HttpRequest = scope_of(request)[_REQUEST]
         session = http.session(self._client_api) or await http.waited(self._client_api)
         http.allow(*parameters_of(request))

@@ -15,7 +15,7 @@ from rcp_http.openapi_calls import TEXT
 from rcp_http.openapi_responses import refusals
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import BadRequest, Forbidden, UnknownPath
-from rcp_web.application import Asked, response, scope_of
+from rcp_web.application import WebRequest, response, scope_of
 from rcp_web.asgi import Headers, Scope, peer_of, read_body
 from rcp_web.calls import call as declared
 from rcp_web.logins import LOGINS, LoginService, login_cookie, no_cookie
@@ -86,7 +86,7 @@ class Login(Controller):
         **declared("Tell whose login the cookie is.", responses=_answers(400, 404)),
         sync_to_thread=False,
     )
-    def state(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
+    def state(self, request: WebRequest, client_api: NamedDependency[ClientApi]) -> ASGIApp:
         """Answer with the principal of the cookie, if there is one."""
         logins = _service(client_api)
         secret = login_at(scope_of(request), client_api.service(OIDC))
@@ -100,7 +100,7 @@ class Login(Controller):
         ),
         status_code=200,
     )
-    async def begin(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
+    async def begin(self, request: WebRequest, client_api: NamedDependency[ClientApi]) -> ASGIApp:
         """Begin a login for the principal of a token, in place of the one in the cookie."""
         scope, logins = scope_of(request), _service(client_api)
         origin = _page(scope)
@@ -121,7 +121,7 @@ class Login(Controller):
         status_code=200,
         sync_to_thread=False,
     )
-    def end(self, request: Asked, client_api: NamedDependency[ClientApi]) -> ASGIApp:
+    def end(self, request: WebRequest, client_api: NamedDependency[ClientApi]) -> ASGIApp:
         """End the login, here and in the browser."""
         scope, logins = scope_of(request), _service(client_api)
         origin = _page(scope)

@@ -22,7 +22,7 @@ from rcp_kernel.errors import (
     Unauthenticated,
     UnknownPath,
 )
-from rcp_web.application import Asked, response, scope_of
+from rcp_web.application import WebRequest, response, scope_of
 from rcp_web.asgi import Headers, Scope, header, peer_of, retry_after
 from rcp_web.logins import LOGINS, LoginService, login_cookie, shown_login
 from rcp_web.oidc import OIDC, OidcService, Parameters, Returned, Started, shown_start, start_cookie
@@ -72,7 +72,7 @@ class OidcLogin(Controller):
     async def begin(
         self,
         id: FromPath[str],  # noqa: A002 - its name in the address
-        request: Asked,
+        request: WebRequest,
         client_api: NamedDependency[ClientApi],
     ) -> ASGIApp:
         """Send the browser to the issuer."""
@@ -94,7 +94,7 @@ class OidcLogin(Controller):
     async def callback(
         self,
         id: FromPath[str],  # noqa: A002 - its name in the address
-        request: Asked,
+        request: WebRequest,
         client_api: NamedDependency[ClientApi],
     ) -> ASGIApp:
         """Begin a login for the person that the issuer has sent back."""

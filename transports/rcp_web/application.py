@@ -17,9 +17,9 @@ from rcp_kernel.errors import BadRequest, RcpError, UnknownPath
 from rcp_web.asgi import JSON, Receive, Scope, Send, respond
 from rcp_web.refusals import NotTaken, Refusal, envelope, headers_of
 
-__all__ = ["Application", "Asked", "response", "scope_of"]
+__all__ = ["Application", "WebRequest", "response", "scope_of"]
 
-Asked = Request[Any, Any, Any]
+WebRequest = Request[Any, Any, Any]
 _ORDER = ("GET", "PUT", "POST", "DELETE", "HEAD", "OPTIONS")
 
 
@@ -69,7 +69,7 @@ class Application:
         inner[_ASKED] = scope
         await self._litestar(cast("Any", inner), receive, cast("Any", send))
 
-    def _answer(self, request: Asked, error: Exception) -> Response[bytes]:
+    def _answer(self, request: WebRequest, error: Exception) -> Response[bytes]:
         scope = scope_of(request)
         told = self._told(scope, error)
         if scope["method"] == "OPTIONS" and isinstance(told, NotTaken):
@@ -97,7 +97,7 @@ _NOT_SERVED = "/-/-"
 _NO_METHOD = "-"
 
 
-def scope_of(request: Asked) -> Scope:
+def scope_of(request: WebRequest) -> Scope:
     """Return the scope as the listener built it."""
     return cast("Any", request.scope)[_ASKED]
 

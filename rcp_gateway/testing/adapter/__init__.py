@@ -87,7 +87,7 @@ class AdapterGateway:
 
     def withdraw_keys(self) -> None:
         """Revoke all keys, as a reload of the configuration does."""
-        kernel = self.served.server.kernel
+        kernel = self.served.server.gateway
         kernel.reconfigure(msgspec.structs.replace(kernel.settings.config, keys=()))
 
 

@@ -54,7 +54,7 @@ class GuardTests(FeatureRig):
             ("execute", "/service/hold", {}),
             ("execute", "/system/estop", {}),
         )
-        guards = guarded.served.server.kernel.features.guards
+        guards = guarded.served.server.gateway.features.guards
         controls = any(guard.slot is Slot.LEASE for guard in guards)
         for type_, path, body in stops[controls:]:
             moving = await guarded.operator.request("write", DRIVE, body=0.5)
@@ -97,7 +97,7 @@ class GuardTests(FeatureRig):
     @proves("guard.reloads")
     async def test_it_still_refuses_after_a_reload(self, guarded: FeatureGateway) -> None:
         await self.engage(guarded)
-        kernel = guarded.served.server.kernel
+        kernel = guarded.served.server.gateway
         config = kernel.settings.config
         kernel.reconfigure(config, self.features(config))
         reply = await guarded.operator.request("write", LIMIT, body=0.5)

@@ -19,7 +19,7 @@ __all__ = ["LifeTests"]
 
 
 def _resources(gateway: FeatureGateway, name: str) -> list[SystemResource]:
-    return gateway.served.server.kernel.features.resources_of(name)
+    return gateway.served.server.gateway.features.resources_of(name)
 
 
 class LifeTests(FeatureRig):
@@ -54,7 +54,7 @@ class LifeTests(FeatureRig):
         self, gateway: FeatureGateway
     ) -> None:
         for own in _resources(gateway, self.kind.name):
-            entry = gateway.served.server.kernel.registry.entries[own.path]
+            entry = gateway.served.server.gateway.registry.entries[own.path]
             if entry.operations & Operation.READ:
                 reply = await gateway.admin.request("read", own.path)
                 assert reply["status"] == "completed", reply

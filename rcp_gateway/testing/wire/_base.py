@@ -151,9 +151,9 @@ class World:
 
     def limit(self, **limits: float) -> None:
         """Change limits of the gateway while it runs, as a reload of its configuration does."""
-        config = self.server.kernel.settings.config
+        config = self.server.gateway.settings.config
         changed = msgspec.structs.replace(config.limits, **limits)
-        self.server.kernel.reconfigure(msgspec.structs.replace(config, limits=changed))
+        self.server.gateway.reconfigure(msgspec.structs.replace(config, limits=changed))
 
     async def client(
         self, token: str | None = OPERATOR, encoding: Encoding = Encoding.JSON

@@ -53,7 +53,7 @@ class Quality(Wire):
         world.publish("sensor/level", *map(float, range(20)))
         notice = await client.notice("overrun")
         assert (notice["id"], notice["error"]["code"]) == (id_, "overrun")
-        assert world.server.kernel.hub.subscriptions == set()
+        assert world.server.gateway.hub.subscriptions == set()
 
     @proves("stream.deadline", "stream.stale")
     async def test_a_source_that_falls_silent_is_told(self, world: World) -> None:

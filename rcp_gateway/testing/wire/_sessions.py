@@ -23,7 +23,7 @@ async def _hello(client: Client, /, **body: Any) -> dict[str, Any]:
 
 async def _cut(world: World, client: Client) -> None:
     """Cut a client's connection, and wait until the gateway has noticed."""
-    sessions = world.server.kernel.sessions.known
+    sessions = world.server.gateway.sessions.known
     other = await world.client()
     await client.close()
     while any(s.connection is None for s in sessions.values()) is False and len(sessions) > 1:

@@ -221,7 +221,7 @@ class Streams(Wire):
             error_code = reply["error"]["code"]
             assert reply["status"] == "rejected"
             assert error_code in (code, "bad_request"), options  # a query may be wrong as such
-        assert world.server.kernel.hub.subscriptions == set()
+        assert world.server.gateway.hub.subscriptions == set()
 
     @proves("stream.unsubscribe")
     async def test_after_unsubscribe_nothing_comes(self, world: World) -> None:

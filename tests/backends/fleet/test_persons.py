@@ -57,7 +57,7 @@ class _Fleet:
 
     def persons(self) -> set[str]:
         """Names of the sessions that the robot's gateway has with people of hubs."""
-        known = self.robot.server.kernel.sessions.known.values()
+        known = self.robot.server.gateway.sessions.known.values()
         return {s.principal.name for s in known if s.principal.via is not None}
 
 
@@ -151,7 +151,7 @@ async def test_the_hub_for_itself_only_looks(tmp_path: Path) -> None:
         id_ = await fleet.ann.subscribe(_POSE)
         await fleet.ann.update(id_)
         assert fleet.persons() == {"h1"}
-        known = fleet.robot.server.kernel.sessions.known.values()
+        known = fleet.robot.server.gateway.sessions.known.values()
         own = next(s for s in known if s.principal.name == "h1")
         assert own.principal.roles == ("hub",)
 
@@ -161,7 +161,7 @@ async def test_an_idle_session_of_a_person_is_closed(tmp_path: Path) -> None:
         assert (await fleet.ann.request("write", _LIMIT, body=0.5))["status"] == "completed"
 
         async def closed() -> bool:
-            known = fleet.robot.server.kernel.sessions.known.values()
+            known = fleet.robot.server.gateway.sessions.known.values()
             return not [s for s in known if s.principal.name == "ann" and s.connection is not None]
 
         await eventually(closed, "ann's session is closed", _BOUND)
@@ -172,7 +172,7 @@ async def test_a_session_is_renewed_before_its_assertion_expires(tmp_path: Path)
     stepped = SteppedClock()
     stepped.advance(38)  # for the robot, an assertion is that old when it is made
     async with _fleet(tmp_path, clock=stepped.clock) as fleet:
-        known = fleet.robot.server.kernel.sessions.known
+        known = fleet.robot.server.gateway.sessions.known
         own = next(s for s in known.values() if s.principal.name == "h1")
         first = own.principal.expires
         assert first is not None
@@ -255,7 +255,7 @@ async def test_a_link_has_the_links_of_persons_too(tmp_path: Path) -> None:
         assert link["received"] > before["received"]
         (shown,) = (
             part["links"]
-            for part in fleet.robot.server.kernel.status.transports
+            for part in fleet.robot.server.gateway.status.transports
             if part.get("name") == "zenoh"
         )
 

@@ -72,7 +72,7 @@ async def test_a_revoked_hub_loses_its_sessions_and_gets_no_others(tmp_path: Pat
         assert record["body"]["hubs"] == ["h1"]
 
         async def gone() -> bool:
-            known = robot.server.kernel.sessions.known.values()
+            known = robot.server.gateway.sessions.known.values()
             return not [one for one in known if one.principal.via == "h1"]
 
         await eventually(gone, "the hub's sessions have ended", _BOUND)

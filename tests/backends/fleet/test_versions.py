@@ -87,7 +87,7 @@ async def test_a_gateway_that_does_not_know_programs_grants_leases(
 ) -> None:
     port = free_port()
     async with serving(hub_at(port)) as hub, serving(robot_at(port)) as robot:
-        entry = robot.server.kernel.registry.entries["/system/leases"]
+        entry = robot.server.gateway.registry.entries["/system/leases"]
         monkeypatch.setattr(entry, "input_type", value_type(_FirstRequest))
         client = hub.client(OPERATOR)
         await appears(client, _POSE)

@@ -160,7 +160,7 @@ async def test_a_preempting_command_cancels_the_running_one_at_the_robot(
 
 
 async def _known(served: Any, path: str) -> bool:
-    return path in served.server.kernel.registry.entries
+    return path in served.server.gateway.registry.entries
 
 
 async def _opened(served: Any) -> bool:

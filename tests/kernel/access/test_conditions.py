@@ -49,7 +49,7 @@ def entry(world: World) -> Entry:
     host.publish("sensor/battery-1", Battery(10.0))
     host.publish("sensor/arm/left", 0.5)
     host.publish("sensor/mode", "auto")
-    return world.server.kernel.registry.entries["/tenant/alpha/actuator/drive"]
+    return world.server.gateway.registry.entries["/tenant/alpha/actuator/drive"]
 
 
 async def until(holds: Callable[[], bool]) -> None:
@@ -59,7 +59,7 @@ async def until(holds: Callable[[], bool]) -> None:
 
 
 def conditions(world: World) -> Conditions:
-    return world.server.kernel.conditions
+    return world.server.gateway.conditions
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ async def test_a_field_has_the_name_that_clients_read(world: World, entry: Entry
 
 async def test_the_clock_is_the_gateways_own(world: World, entry: Entry) -> None:
     noon = datetime(2026, 5, 31, 12, 30).astimezone()  # a Sunday
-    kernel = world.server.kernel
+    kernel = world.server.gateway
     told = Conditions(
         kernel.registry,
         Clock(now=lambda: int(noon.timestamp() * 1e9)),
@@ -133,7 +133,7 @@ async def test_the_clock_is_the_gateways_own(world: World, entry: Entry) -> None
     )
     text = "time.hour == 12 && time.minute == 30 && time.weekday == 6"
     assert told.holds(Condition(text), entry) is True
-    system = world.server.kernel.registry.entries["/system/status"]
+    system = world.server.gateway.registry.entries["/system/status"]
     assert told.holds(Condition(text), system) is True
     assert told.holds(Condition("mode == 'auto'"), system) is None
 

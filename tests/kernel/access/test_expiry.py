@@ -57,7 +57,7 @@ async def test_a_session_is_warned_and_then_ends(
     assert (ended["id"], ended["reason"], ended["error"]["code"]) == ("s", *2 * ("token_expired",))
     assert (await client.final(None))["error"]["code"] == "token_expired"
     assert client.connection.expelled
-    assert not world.server.kernel.hub.subscriptions
+    assert not world.server.gateway.hub.subscriptions
     assert world.robot.stopped.qsize() == 0  # what runs goes on
     world.robot.release.set()
 
@@ -99,7 +99,7 @@ async def test_a_token_of_somebody_else_opens_another_session(world: World, issu
     other = await client.ask(type="hello", body={"token": token(issuer, 600, sub="bea")})
     assert other["body"]["principal"] == "bea"
     assert other["body"]["session"] != first["body"]["session"]
-    assert not world.server.kernel.hub.subscriptions
+    assert not world.server.gateway.hub.subscriptions
 
 
 async def test_a_new_token_with_lesser_roles_takes_rights_away(
@@ -142,7 +142,7 @@ async def test_a_session_that_waits_for_its_client_ends_too(
     first = await client.ask(type="hello")
     client.connection.close()
     await _past(world, stepped)
-    assert not [s for s in world.server.kernel.sessions.known.values() if s.cut is not None]
+    assert not [s for s in world.server.gateway.sessions.known.values() if s.cut is not None]
     with pytest.raises(TokenExpired):
         world.client(short)
     late = await world.client().ask(type="hello", body={"session": first["body"]["session"]})
@@ -169,7 +169,7 @@ async def test_a_token_that_was_verified_is_weighed_by_the_tables_of_a_reload(
 
     other = config("viewer").replace('audience = "', 'audience = "other-')
     async with world_of(config("operator")) as world:
-        identities, good = world.server.kernel.identities, token(issuer, 600)
+        identities, good = world.server.gateway.identities, token(issuer, 600)
         found = identities.known(good)
         assert found is not None
         assert found.roles == ("operator",)

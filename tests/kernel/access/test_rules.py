@@ -56,7 +56,7 @@ def drive(client: Client, x: float = 0.1) -> str:
 
 
 def reload(world: World, *texts: str) -> None:
-    world.server.kernel.reconfigure(parse(rules(*texts), "test"))
+    world.server.gateway.reconfigure(parse(rules(*texts), "test"))
 
 
 async def test_an_allow_counts_only_while_its_condition_holds(world: World) -> None:
@@ -251,7 +251,7 @@ async def test_what_conditions_of_rules_are_about_is_watched(world: World) -> No
         world,
         '[{ operations = ["write"], paths = ["/actuator/**"], when = "sensor.lazy > 5.0" }]',
     )
-    sensor = world.server.kernel.registry.entries["/tenant/alpha/sensor/lazy"]
+    sensor = world.server.gateway.registry.entries["/tenant/alpha/sensor/lazy"]
     for _ in range(1000):
         if sensor.latest is not None:
             break
@@ -278,7 +278,7 @@ async def test_the_masks_that_are_kept_are_bounded(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rcp_kernel.access.acl._MAX_KNOWN", 8)
-    kernel = world.server.kernel
+    kernel = world.server.gateway
     rights = kernel.rules.rights(world.client(TOKEN).connection.session.principal)
     for number in range(100):
         assert rights.mask(f"/tenant/alpha/actuator/x{number}")

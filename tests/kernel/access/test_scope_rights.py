@@ -12,7 +12,7 @@ from rcp_kernel.clock import SYSTEM_CLOCK
 from rcp_kernel.config.role import Role, Rule
 from rcp_kernel.features import Scope
 from rcp_kernel.model import Operation, Resource
-from rcp_kernel.tree.entry import Entry, StopGroup
+from rcp_kernel.tree.entry import Entry, RobotUnit
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.types import quantity
 from rcp_scheduling.turns import at_once
@@ -32,9 +32,9 @@ class Owner:
         self.name = name
         self.entries: dict[str, Any] = {}
         owner: Any = self
-        self._unit = StopGroup(owner, None)
+        self._unit = RobotUnit(owner, None)
 
-    def unit(self, robot: str | None) -> StopGroup:
+    def unit(self, robot: str | None) -> RobotUnit:
         return self._unit
 
 

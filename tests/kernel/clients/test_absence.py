@@ -47,15 +47,15 @@ async def test_a_source_goes_on_while_its_client_is_away_and_stops_when_it_is_gi
     client.connection.close()
     await world.client().ask(type="ping")
     assert world.robot.left == []
-    world.server.kernel.sessions.drop(session)
+    world.server.gateway.sessions.drop(session)
     await settled(world, lambda: len(world.robot.left) == len(world.robot.watched))
-    assert world.server.kernel.registry.entries[LAZY].listeners == []
+    assert world.server.gateway.registry.entries[LAZY].listeners == []
 
 
 async def test_any_number_of_clients_that_are_away_make_one_listener_and_the_last_takes_it_along(
     world: World,
 ) -> None:
-    entry = world.server.kernel.registry.entries[LAZY]
+    entry = world.server.gateway.registry.entries[LAZY]
     sessions: list[Any] = []
     for rate in (1, 5, None, 5):
         client = world.client()
@@ -69,7 +69,7 @@ async def test_any_number_of_clients_that_are_away_make_one_listener_and_the_las
     wanted: list[float | None] = []
     for session in reversed(sessions):
         wanted.append(entry.listeners[0].rate)  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
-        world.server.kernel.sessions.drop(session)
+        world.server.gateway.sessions.drop(session)
     assert wanted == [None, None, 5, 1]
     assert entry.listeners == []
 
@@ -81,8 +81,8 @@ async def test_rules_that_forbid_a_path_to_who_is_away_let_its_source_go(world: 
     await client.update(id_)
     client.connection.close()
     text = CONFIG.replace('role = "operator"', 'role = "none"') + "[roles.none]\n"
-    world.server.kernel.reconfigure(parse(text, "test"))
-    assert world.server.kernel.registry.entries[LAZY].listeners == []
+    world.server.gateway.reconfigure(parse(text, "test"))
+    assert world.server.gateway.registry.entries[LAZY].listeners == []
 
 
 async def test_what_appears_while_a_client_is_away_reaches_it_once_on_return(world: World) -> None:
@@ -105,7 +105,7 @@ async def test_a_resource_declared_anew_is_not_stale_while_it_publishes(world: W
     id_ = await subscribed(client, "/sensor/level")
     world.robot.host.publish("sensor/level", 1.0)
     await client.update(id_)
-    entries = world.server.kernel.registry.entries
+    entries = world.server.gateway.registry.entries
     old = entries["/tenant/alpha/sensor/level"]
     world.robot.add(
         Resource(
@@ -120,7 +120,7 @@ async def test_a_resource_declared_anew_is_not_stale_while_it_publishes(world: W
         while not old.stale:
             world.robot.host.publish("sensor/level", 2.0)
             await client.update(id_)
-    world.server.kernel.hub.deadline_monitor.poll()
+    world.server.gateway.hub.deadline_monitor.poll()
     await client.ask(type="ping")
     assert not [m for m in client.inbox if m.get("code") == "stale"]
     assert (await client.notice("stale"))["path"] == "/tenant/alpha/sensor/level"

@@ -190,7 +190,7 @@ async def test_hello_where_there_is_no_connection_is_refused_by_name(world: Worl
 async def test_who_is_expelled_may_do_nothing_from_then_on(world: World) -> None:
     client = world.client()
     other = CONFIG.replace('"operator-operator"', '"another-operator"')
-    world.server.kernel.reconfigure(parse(other, "test"))
+    world.server.gateway.reconfigure(parse(other, "test"))
     reply = await client.ask(type="write", path="/param/limit", body=1.0)
     assert reply["error"]["code"] == "unknown_path"
 

@@ -23,7 +23,7 @@ async def killed(tmp_path: Path, config: str = CONFIG) -> AsyncGenerator[tuple[C
     async with world_of(kept_in(tmp_path / "run.db", config)) as world:
         client = world.client()
         yield client, world
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
 
@@ -115,8 +115,8 @@ async def test_a_session_is_kept_no_longer_than_its_time(tmp_path: Path) -> None
     async with after(tmp_path, short) as world:
         reply = await world.client().ask(type="hello", body=returning(hello))
         assert reply["error"]["code"] == "gap"
-        await settled(world.server.kernel.store)
-        assert world.server.kernel.store.load("sessions") == {}
+        await settled(world.server.gateway.store)
+        assert world.server.gateway.store.load("sessions") == {}
 
 
 @pytest.mark.parametrize("back", [0, -7 * 86_400])
@@ -142,7 +142,7 @@ async def test_a_gateway_that_was_stopped_keeps_its_sessions_too(tmp_path: Path)
         await client.ask(type="subscribe", path="/sensor/level", id="level")
         gone = world.client()
         left = await greeting(gone)
-        world.server.kernel.sessions.drop(gone.connection.session)
+        world.server.gateway.sessions.drop(gone.connection.session)
     async with world_of(kept_in(tmp_path / "run.db")) as world:
         client = world.client()
         assert (await greeting(client, **returning(hello)))["session"] == hello["session"]

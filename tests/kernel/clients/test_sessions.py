@@ -91,7 +91,7 @@ async def test_what_was_told_to_a_peer_that_was_gone_already_is_told_on_return(
     world.robot.release.set()
     await client.ask(type="execute", id="x", path="/action/go", body=1)
     client.connection.close()
-    session = world.server.kernel.sessions.known[facts["session"]]
+    session = world.server.gateway.sessions.known[facts["session"]]
     assert session.cut is not None
     session.cut += int(3 * facts["heartbeat"] * 1e9)
     client = world.client()
@@ -142,15 +142,15 @@ async def test_a_session_that_was_never_greeted_ends_with_its_connection(world: 
     client = world.client()
     await client.ask(type="subscribe", path=LEVEL)
     client.connection.close()
-    assert world.server.kernel.sessions.known == {}
-    assert world.server.kernel.hub.subscriptions == set()
+    assert world.server.gateway.sessions.known == {}
+    assert world.server.gateway.hub.subscriptions == set()
 
 
 async def test_an_expired_session_is_a_gap(world: World) -> None:
     client = world.client()
     session = (await greeted(client))["session"]
     client.connection.close()
-    world.server.kernel.sessions.drop(world.server.kernel.sessions.known[session])
+    world.server.gateway.sessions.drop(world.server.gateway.sessions.known[session])
     reply = await world.client().ask(type="hello", body={"session": session})
     assert reply["error"]["code"] == "gap"
 
@@ -190,7 +190,7 @@ async def test_a_full_gateway_lets_the_longest_absent_go_for_who_is_here() -> No
             await greeted(client)
             client.connection.close()
         third = await greeted(world.client())
-        known = world.server.kernel.sessions.known
+        known = world.server.gateway.sessions.known
         assert set(known) == {second.connection.session.id, third["session"]}
         world.client()
         with pytest.raises(QueueFull):
@@ -224,7 +224,7 @@ async def test_a_cut_leaves_the_source_at_the_rate_that_was_wanted(world: World)
 async def test_a_session_waits_for_its_client_as_long_as_it_is_kept_and_no_longer(
     world: World, stepped: SteppedClock
 ) -> None:
-    ttl = world.server.kernel.settings.limits.session_ttl
+    ttl = world.server.gateway.settings.limits.session_ttl
     first = world.client()
     session = (await greeted(first))["session"]
     first.connection.close()
@@ -234,7 +234,7 @@ async def test_a_session_waits_for_its_client_as_long_as_it_is_kept_and_no_longe
     second.connection.close()
     stepped.advance(ttl / 2)
     await world.client().ask(type="ping")
-    assert session in world.server.kernel.sessions.known, "its time began anew"
+    assert session in world.server.gateway.sessions.known, "its time began anew"
     stepped.advance(ttl)
     await world.client().ask(type="ping")
     late = await world.client().ask(type="hello", body={"session": session})

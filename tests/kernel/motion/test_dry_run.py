@@ -24,7 +24,7 @@ pytestmark = pytest.mark.anyio
 
 async def test_a_dry_run_lists_the_envelopes_and_changes_nothing(clock: Clock) -> None:
     async with fenced(GENTLE + EDGE, clock.clock) as world:
-        client, kernel = world.client(AGENT), world.server.kernel
+        client, kernel = world.client(AGENT), world.server.gateway
         world.robot.at(1)
         clock.now += 1.0
         samples = kernel.registry.entries["/tenant/alpha/actuator/drive"].seq

@@ -211,7 +211,7 @@ async def test_the_latch_of_one_robot_outlives_the_gateway(tmp_path: Path) -> No
     text = kept_in(tmp_path / "rcp.db", YARD)
     async with world_of(text, Yard) as world:
         await estop(world.client(ADMIN), scope="yard/r2", reason="smoke")
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     async with world_of(text, Yard) as world:
         admin = world.client(ADMIN)
         state: dict[str, Any] = (await admin.ask(type="read", path="/system/estop"))["body"]

@@ -134,7 +134,7 @@ async def test_a_latch_outlives_the_gateway(tmp_path: Path) -> None:
         admin = world.client(ADMIN)
         await estop(admin, scope="/tenant/alpha", reason="smoke")
         await estop(admin, scope="r2", reset=True)
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     async with world_of(text) as world:
         admin = world.client(ADMIN)
         state = (await admin.ask(type="read", path="/system/estop"))["body"]
@@ -144,7 +144,7 @@ async def test_a_latch_outlives_the_gateway(tmp_path: Path) -> None:
         assert world.robots[0].halts >= 1
         await estop(admin, reset=True)
         assert await moves(admin, "r1")
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     async with world_of(text) as world:
         assert await moves(world.client(ADMIN), "r1")
 

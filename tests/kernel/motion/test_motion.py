@@ -12,7 +12,7 @@ from kernel.world import BOUND, CONFIG, Client, World, prepared
 from rcp_gateway.reload import apply
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
-from rcp_kernel.safety import safety
+from rcp_kernel.safety.deadman import REPLY_GRACE
 from rcp_kernel.types import Twist
 from rcp_requests import write
 
@@ -125,7 +125,7 @@ async def test_what_came_in_just_before_an_estop_does_not_begin_after_it(world: 
 
 
 async def test_a_gateway_that_is_closing_moves_nothing_any_more(world: World) -> None:
-    world.server.kernel.shutdown.begun = True
+    world.server.gateway.shutdown.begun = True
     client = world.client()
     for request in (
         {"type": "write", "path": "/actuator/drive", "body": FORWARD},
@@ -172,4 +172,4 @@ async def test_the_repeat_of_a_write_keeps_its_own_deadline(world: World) -> Non
 
 
 def test_the_window_of_an_unanswered_write_is_bounded() -> None:
-    assert safety.REPLY_GRACE <= 1.0
+    assert REPLY_GRACE <= 1.0

@@ -51,7 +51,7 @@ async def test_a_robot_whose_link_is_down_is_stopped_when_it_is_back(world: Worl
     gone = await client.ask(type="read", path="/sensor/level")
     assert gone["error"]["code"] == "adapter_unavailable"
     await client.ask(type="subscribe", path=DRIVE)
-    while world.server.kernel.deadman.expired == 0:
+    while world.server.gateway.deadman.expired == 0:
         await client.ask(type="ping")
     assert world.robot.writes == [("actuator/drive", FORWARD)]
     world.robot.host.report(None)

@@ -111,7 +111,7 @@ async def test_what_the_robot_refuses_names_the_item_and_changes_nothing(wheels:
     assert (code(reply), reply["error"]["path"]) == ("device_rejected", RIGHT)
     assert reply["error"]["origin"] == "robot"
     assert wheels.robot.moving == set()
-    assert wheels.server.kernel.registry.entries[LEFT].seq == 0
+    assert wheels.server.gateway.registry.entries[LEFT].seq == 0
 
 
 @pytest.mark.parametrize("body", [None, {}, [], 1, "x", {"linear": {"x": 1}}, {"left": 1.0}])
@@ -215,7 +215,7 @@ async def test_they_come_to_rest_as_one_when_their_time_is_over(wheels: World) -
     reply = await write(client, valid_for=0.05)
     assert reply["status"] == "completed"
     async with asyncio.timeout(BOUND):
-        while len(wheels.robot.together) < 2 or wheels.server.kernel.deadman.driving:
+        while len(wheels.robot.together) < 2 or wheels.server.gateway.deadman.driving:
             await client.update("s")
     assert wheels.robot.together[1:] == [dict.fromkeys(WHEELS, 0.0)]
     assert wheels.robot.writes == []
@@ -355,7 +355,7 @@ async def test_the_record_names_each_path_under_one_id(tmp_path: Any) -> None:
         client = world.client()
         assert (await write(client, id="mine"))["status"] == "completed"
         assert code(await write(client, {"/actuator/left": 9.0, "/actuator/right": 9.0}))
-        records = [r.value for r in world.server.kernel.registry.entries["/system/audit"].ring]
+        records = [r.value for r in world.server.gateway.registry.entries["/system/audit"].ring]
         done = [r for r in records if r["what"] == "write"]
         assert [(r["path"], r["value"], r["id"]) for r in done] == [
             (LEFT, 1.0, "mine"),

@@ -198,7 +198,7 @@ async def test_history_outlives_the_gateway_and_what_a_crash_cut_off_is_failed(
         client.send(type="execute", path=GO, body=2)
         await world.robot.started.get()
         await world.robot.started.get()
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         # What is on disk now is all that a crash leaves.
         for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
@@ -240,7 +240,7 @@ async def test_a_key_outlives_a_crash_with_its_outcome_or_the_news_that_it_has_n
         running = client.send(**cut)
         command = (await client.until(lambda m: m["id"] == running))["command"]
         await world.robot.started.get()
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"run.db{suffix}", tmp_path / f"crashed.db{suffix}")
     async with world_of(kept_in(tmp_path / "crashed.db")) as world:
@@ -261,7 +261,7 @@ async def test_a_key_outlives_a_crash_with_its_outcome_or_the_news_that_it_has_n
 async def test_the_robot_hears_of_a_key_only_once_it_is_committed(tmp_path: Path) -> None:
     path = tmp_path / "store.db"
     async with world_of(kept_in(path)) as world:
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         client = world.client()
         world.robot.release.set()
         with closing(sqlite3.connect(path)) as other:

@@ -53,9 +53,9 @@ class Order:
 @asynccontextmanager
 async def watched(monkeypatch: pytest.MonkeyPatch) -> AsyncGenerator[tuple[World, Order]]:
     async with world_of() as world:
-        journal = world.server.kernel.journal
+        journal = world.server.gateway.journal
         order = Order(journal)
-        monkeypatch.setattr(world.server.kernel.store, "keeps", True)
+        monkeypatch.setattr(world.server.gateway.store, "keeps", True)
         monkeypatch.setattr(journal, "keep", order.kept)
         yield world, order
 
@@ -89,9 +89,9 @@ async def test_an_idle_listener_is_not_called(monkeypatch: pytest.MonkeyPatch) -
 async def test_a_finished_command_lets_go_of_its_task_and_of_who_asked(world: World) -> None:
     world.robot.release.set()
     reply: dict[str, Any] = await world.client().ask(**GO)
-    command = world.server.kernel.journal.find(reply["command"])
+    command = world.server.gateway.journal.find(reply["command"])
     assert command is not None
-    assert (command.task, command.asker, command.request) == (None, None, None)
+    assert (command.task, command.requester, command.request) == (None, None, None)
     assert command.followers == []
 
 

@@ -184,7 +184,7 @@ async def test_a_backend_that_is_opened_again_takes_its_commands_up(far: Far) ->
         supervisor = world.server.supervisors[0]
         backend = supervisor.backend
         assert backend is not None
-        commands = world.server.kernel.commands
+        commands = world.server.gateway.commands
         for task in commands.detach(supervisor.name):  # as a crash does
             task.cancel()
         busy = await client.ask(type="execute", path=GO, body=2)
@@ -243,6 +243,6 @@ async def test_the_dead_man_is_the_robots_own(far: Far) -> None:
         alone = await client.ask(type="write", path=left, body=1.0, valid_for=0.03)
         both = await client.ask(type="write", body={left: 2.0, right: 3.0}, valid_for=0.04)
         assert (alone["status"], both["status"]) == ("completed", "completed")
-        assert not world.server.kernel.deadman.driving
+        assert not world.server.gateway.deadman.driving
     assert [far.written.get_nowait() for _ in range(3)] == [(1.0, 0.03), (2.0, 0.04), (3.0, 0.04)]
     assert far.written.empty()

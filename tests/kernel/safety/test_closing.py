@@ -44,7 +44,7 @@ async def test_a_closed_backend_is_not_halted_again_while_others_close() -> None
         reply = await served.client(ADMIN).request("execute", "/system/estop", body={})
         assert reply["status"] == "completed", reply
         quick = next(one for one in served.server.supervisors if one.name == "quick")
-        stops = served.server.kernel.stops
+        stops = served.server.gateway.stops
         assert stops.of(quick.whole) is not None
         with capture_logs() as said:
             ending = asyncio.ensure_future(stack.aclose())

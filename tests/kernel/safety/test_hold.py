@@ -55,7 +55,7 @@ async def test_a_hold_and_its_end_are_changes_of_the_robots_state(world: World) 
     robot, operator = scripted(world), world.client()
     unit = world.server.supervisors[0].whole
     held: list[bool] = []
-    world.server.kernel.registry.on_state.append(lambda: held.append(unit.is_held))
+    world.server.gateway.registry.on_state.append(lambda: held.append(unit.is_held))
     robot.rests.clear()
     hold = operator.send(type="execute", path=HOLD)
     async with asyncio.timeout(BOUND):

@@ -13,7 +13,7 @@ from kernel.safety.scripted import ADMIN, DRIVE, FAST, GO, Scripted, estop, scri
 from kernel.world import BOUND, Client, World, settled
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_kernel.spi import Host, Progress
-from rcp_kernel.tree.entry import StopGroup
+from rcp_kernel.tree.entry import RobotUnit
 
 pytestmark = pytest.mark.anyio
 
@@ -129,7 +129,7 @@ async def test_a_command_that_fails_after_the_reset_was_not_lost() -> None:
         final = await admin.final(go)
         assert final["error"]["code"] == "adapter_unavailable"
         assert "on_loss" not in final["error"].get("details", {})
-        assert world.server.kernel.registry.entries[GO].unit.lost is None
+        assert world.server.gateway.registry.entries[GO].unit.lost is None
 
 
 async def test_an_estop_ends_a_recovery_that_is_being_tried(world: World) -> None:
@@ -141,7 +141,7 @@ async def test_an_estop_ends_a_recovery_that_is_being_tried(world: World) -> Non
     robot.lost = ""
     assert (await estop(admin))["status"] == "completed"
     assert (await estop(admin, reset=True))["status"] == "completed"
-    assert world.server.kernel.registry.entries[GO].unit.lost is None
+    assert world.server.gateway.registry.entries[GO].unit.lost is None
 
 
 async def test_a_new_command_takes_the_place_of_the_recovery(world: World) -> None:
@@ -177,7 +177,7 @@ async def test_a_command_that_a_killed_gateway_left_behind_is_settled_by_the_nex
         admin.send(type="execute", path=GO, body=1)
         async with asyncio.timeout(BOUND):
             await robot.started.get()
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         kept = [store.with_name(f"rcp.db{end}").read_bytes() for end in ("", "-wal", ".head")]
     killed = tmp_path / "killed" / "rcp.db"
     killed.parent.mkdir()
@@ -266,7 +266,7 @@ async def test_a_command_lost_during_a_recovery_is_settled_by_another() -> None:
         back(robot)
         async with asyncio.timeout(BOUND):
             await robot.first.wait()
-            assert world.server.kernel.registry.entries[GO].unit.note_lost(GO, 0)
+            assert world.server.gateway.registry.entries[GO].unit.note_lost(GO, 0)
             robot.release.set()
             await robot.second.wait()
 
@@ -287,14 +287,14 @@ class Last(Twice):
         self.unit().note_lost(GO, 0)
         self.host.link_restored()
 
-    unit: Callable[[], StopGroup]
+    unit: Callable[[], RobotUnit]
 
 
 async def test_a_command_lost_at_the_end_of_a_recovery_is_settled_by_another() -> None:
     async with scripted_world(make=Last) as world:
         robot, admin = scripted(world), world.client(ADMIN)
         assert isinstance(robot, Last)
-        robot.unit = lambda: world.server.kernel.registry.entries[GO].unit
+        robot.unit = lambda: world.server.gateway.registry.entries[GO].unit
         await lose(world, admin)
         back(robot)
         async with asyncio.timeout(BOUND):
@@ -305,7 +305,7 @@ async def test_a_halt_that_is_answered_after_the_reset_ends_what_was_lost() -> N
     async with scripted_world(make=Late) as world:
         robot, admin = scripted(world), world.client(ADMIN)
         assert isinstance(robot, Late)
-        unit = world.server.kernel.registry.entries[GO].unit
+        unit = world.server.gateway.registry.entries[GO].unit
         assert unit.note_lost(GO, 0)
         stopped = admin.send(type="execute", path="/system/estop", body={})
         async with asyncio.timeout(BOUND):

@@ -128,7 +128,7 @@ async def test_a_robot_that_moves_again_under_a_latch_is_stopped_again_with_an_a
         if record["what"] == "stop":
             assert record["robot"] == "r1"
             found.append(record["outcome"])
-    assert world.server.kernel.stops.alarms == 1
+    assert world.server.gateway.stops.alarms == 1
     assert (await estop(admin, reset=True))["status"] == "completed"
 
 
@@ -182,7 +182,7 @@ async def test_a_reset_ends_the_halts_of_a_robot_that_was_never_confirmed(
     robot.state = MOVING
     await estop(admin, deadline=SHORT)
     await estop(admin, reset=True)
-    controller = world.server.kernel.stops
+    controller = world.server.gateway.stops
     (supervisor,) = world.server.supervisors
     assert controller.of(supervisor.whole) is None
     write = await admin.ask(type="write", path=DRIVE, body=FAST, valid_for=600)
@@ -257,7 +257,7 @@ async def test_a_latched_robot_is_stopped_when_the_gateway_starts_again(tmp_path
     store = tmp_path / "rcp.db"
     async with scripted_world(store=store) as world:
         await estop(world.client(ADMIN), reason="smoke")
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     async with scripted_world(store=store) as world:
         robot, admin = scripted(world), world.client(ADMIN)
         await shows(admin, lambda r: r["state"] == "confirmed")

@@ -81,7 +81,7 @@ def publish(world: World, *values: float, name: str = "sensor/level") -> None:
 
 async def test_receivers_of_the_same_bytes_are_served_from_one_ring(world: World) -> None:
     sockets = [await Socket.open(world, 8) for _ in range(3)]
-    listeners = world.server.kernel.registry.entries[LEVEL].listeners
+    listeners = world.server.gateway.registry.entries[LEVEL].listeners
     assert [type(listener) for listener in listeners] == [SharedFanout]
     publish(world, 1.0, 2.0)
     taken = [socket.take() for socket in sockets]
@@ -114,7 +114,7 @@ async def test_a_newcomer_hears_only_what_comes_after_it(world: World) -> None:
 
 async def test_those_who_leave_are_forgotten(world: World) -> None:
     sockets = [await Socket.open(world, 8) for _ in range(2)]
-    listeners = world.server.kernel.registry.entries[LEVEL].listeners
+    listeners = world.server.gateway.registry.entries[LEVEL].listeners
     sockets[0].connection.close()
     publish(world, 1.0)
     assert [m["body"] for m in sockets[1].take()] == [1.0]
@@ -301,7 +301,7 @@ def _tail(sample: Sample) -> bytes:
 
 async def written(world: World, depth: int, write_interval: float) -> asyncio.Queue[bytes]:
     """Subscribe with an interval of writes; return the queue of what is written directly."""
-    if STEADY not in world.server.kernel.registry.entries:
+    if STEADY not in world.server.gateway.registry.entries:
         # Without a deadline: a notice that the path is stale would wait to be collected first.
         world.robot.add(
             Resource(name="sensor/steady", description="A level.", value=float, live=True)
@@ -358,7 +358,7 @@ async def test_one_who_leaves_meanwhile_misses_nothing_of_others(world: World) -
     async with asyncio.timeout(60):
         assert await leaving.get() == await staying.get() == b"00011"
         publish(world, 2.0, name="sensor/steady")
-        entry = world.server.kernel.registry.entries[STEADY]
+        entry = world.server.gateway.registry.entries[STEADY]
         (fanout,) = entry.listeners
         assert isinstance(fanout, SharedFanout)
         fanout.members[0].unlisten()

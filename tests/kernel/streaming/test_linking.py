@@ -87,7 +87,7 @@ def robot_of(world: World) -> Many:
 
 
 def entries(world: World) -> list[Entry]:
-    return [e for e in world.server.kernel.registry.entries.values() if e.tenant == "alpha"]
+    return [e for e in world.server.gateway.registry.entries.values() if e.tenant == "alpha"]
 
 
 def listeners(world: World) -> int:
@@ -149,7 +149,7 @@ async def test_no_turn_of_the_loop_is_long_whatever_becomes_of_20_000_paths() ->
             again.send(type="hello", body=back)
             robot_of(world).host.publish("sensor/level-00000", 2)
             await until(lambda: again.count)
-            world.server.kernel.sessions.drop(again.connection.session)
+            world.server.gateway.sessions.drop(again.connection.session)
             await until(lambda: not listeners(world))
     assert worst[0] < 0.1
 
@@ -209,7 +209,7 @@ async def test_a_client_that_goes_while_it_subscribes_leaves_nothing_behind() ->
         await client.final(client.send(type="subscribe", path="/sensor/**"))
         client.connection.close()
         await until(lambda: not listeners(world))
-        assert not world.server.kernel.hub.subscriptions
+        assert not world.server.gateway.hub.subscriptions
 
 
 async def test_a_client_that_comes_back_while_it_subscribes_has_every_path_once() -> None:

@@ -34,7 +34,7 @@ class Many(Robot):
 
 
 def linked(world: World) -> set[str]:
-    there = world.server.kernel.registry.entries.values()
+    there = world.server.gateway.registry.entries.values()
     return {e.path for e in there if e.tenant and e.listeners}
 
 
@@ -62,7 +62,7 @@ async def test_a_reload_takes_and_gives_thousands_of_paths_in_steps_and_sends_no
         last = PATHS - PATHS % 2 - 2  # an even one that is judged among the last
         for paths, wanted in (("/sensor/odd/**", odd), ("/sensor/**", everything)):
             with judged(monkeypatch) as turns:
-                world.server.kernel.reconfigure(parse(rules(paths), "test"))
+                world.server.gateway.reconfigure(parse(rules(paths), "test"))
                 world.robot.host.publish(f"sensor/even/level-{last:05}", 1)
                 world.robot.host.publish("sensor/odd/level-00001", 2)
                 await until(lambda w=wanted: linked(world) == w)
@@ -81,11 +81,11 @@ async def test_a_client_that_leaves_while_its_rights_change_leaves_nothing_behin
         client = world.client("driver-driver-driver")
         id_ = client.send(type="subscribe", path="/sensor/**")
         await client.final(id_)
-        world.server.kernel.reconfigure(parse(rules("/sensor/odd/**"), "test"))
-        world.server.kernel.reconfigure(parse(rules("/**"), "test"))
+        world.server.gateway.reconfigure(parse(rules("/sensor/odd/**"), "test"))
+        world.server.gateway.reconfigure(parse(rules("/**"), "test"))
         client.send(type="unsubscribe", body={"subscription": id_})
         await until(lambda: not linked(world))
-        world.server.kernel.reconfigure(parse(rules("/sensor/**"), "test"))
+        world.server.gateway.reconfigure(parse(rules("/sensor/**"), "test"))
         for _ in range(10):
             await asyncio.sleep(0)
         assert not linked(world)

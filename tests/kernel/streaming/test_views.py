@@ -118,7 +118,7 @@ async def test_what_was_made_under_other_rights_is_not_sent() -> None:
         client, id_ = await subscribed(server)
         await asyncio.sleep(0)
         board.host.changed(BOARD)
-        server.kernel.reconfigure(parse(rules(*UNSEEN), "test"))
+        server.gateway.reconfigure(parse(rules(*UNSEEN), "test"))
         assert [item["seen"] for item in (await client.update(id_))["body"]] == [False]
 
 

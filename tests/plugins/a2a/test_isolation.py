@@ -139,7 +139,7 @@ async def test_a_task_does_not_show_what_its_owner_may_not_see_any_more() -> Non
             "pose",
         ]
         assert "swordfish" in str(before)
-        kernel = made.server.kernel
+        kernel = made.server.gateway
         some = msgspec.structs.replace(kernel.settings.config.roles["some"], deny=(DENIED,))
         roles = {**kernel.settings.config.roles, "some": some}
         kernel.reconfigure(msgspec.structs.replace(kernel.settings.config, roles=roles))

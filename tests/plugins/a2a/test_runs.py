@@ -251,7 +251,7 @@ async def test_a_cancel_reaches_the_robot_before_it_is_answered(
     id_ = await begun(client, gateway, text(GO))
     task = (await client.post(f"/a2a/tasks/{id_}:cancel", json={})).json()
     assert state(task) == "CANCELED"
-    assert not gateway.server.kernel.commands.running
+    assert not gateway.server.gateway.commands.running
     assert task["artifacts"][0]["metadata"]["state"] == "cancelled"
 
 

@@ -56,7 +56,7 @@ async def test_no_number_of_plans_keeps_anybody_from_a_stop(top: str) -> None:
         wait = {"do": "wait", "until": "false", "deadline": 60}
         begun = {"returnImmediately": True}
         await sent(client, data({"steps": [wait]}, configuration=begun))
-        await until(lambda: site.server.kernel.commands.running)
+        await until(lambda: site.server.gateway.commands.running)
         assert "queue_full" in json.dumps(await sent(client, text("read /sensor/pose")))
         assert state(await sent(client, text("execute /service/hold"))) == "COMPLETED"
 

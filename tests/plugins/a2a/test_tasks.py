@@ -30,8 +30,8 @@ NOWHERE = "execute /service/nowhere"
 
 @asynccontextmanager
 async def kept(path: Path, **config: Any) -> AsyncGenerator[Tasks]:
-    async with rows(path) as shelf:
-        tasks = Tasks(shelf, A2aConfig(**config))
+    async with rows(path) as store:
+        tasks = Tasks(store, A2aConfig(**config))
         tasks.restore(lambda _task: False)
         yield tasks
 
@@ -137,13 +137,13 @@ async def test_a_row_that_cannot_be_read_costs_only_itself(tmp_path: Path) -> No
     ada = called_by("ada")
     async with kept(tmp_path) as tasks:
         await tasks.save(made("good", DONE), ada)
-    async with rows(tmp_path) as shelf:
-        shelf.put("bad", {"owner": "x", "task": b"\xff\xff"})
-        shelf.put("worse", 7)
+    async with rows(tmp_path) as store:
+        store.put("bad", {"owner": "x", "task": b"\xff\xff"})
+        store.put("worse", 7)
     async with kept(tmp_path) as tasks:
         assert await tasks.get("good", ada) is not None
-    async with rows(tmp_path) as shelf:
-        assert shelf.load().keys() == {"good"}
+    async with rows(tmp_path) as store:
+        assert store.load().keys() == {"good"}
 
 
 async def test_tasks_and_their_notifications_are_there_after_a_restart(tmp_path: Path) -> None:

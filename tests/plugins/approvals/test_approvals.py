@@ -228,7 +228,7 @@ async def test_an_approval_of_a_plan_is_for_what_it_means_and_shows_it() -> None
         assert (step["path"], step["value"]) == ("/tenant/alpha/action/go", 2.0)
         await decide(guard, details["approval"])
         config = parse(PEOPLE.replace("metres = 2.0", "metres = 3.0"), "test")
-        world.server.kernel.reconfigure(config, features_of(config))
+        world.server.gateway.reconfigure(config, features_of(config))
         assert code(await agent.ask(**plan, approval=details["approval"])) == "forbidden"
 
 

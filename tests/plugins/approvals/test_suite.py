@@ -18,7 +18,7 @@ class TestApprovals(FeatureSuite):
 
     def _ask_for(self, gateway: FeatureGateway, *paths: str) -> None:
         """Reload with other paths on which an operator has to ask."""
-        kernel = gateway.served.server.kernel
+        kernel = gateway.served.server.gateway
         operator = msgspec.structs.replace(BUILTIN_ROLES["operator"], approve=paths)
         roles = {"operator": operator}
         config = msgspec.structs.replace(kernel.settings.config, roles=roles)

@@ -59,8 +59,8 @@ async def summaries(world: World) -> list[dict[str, Any]]:
 
 
 async def records(world: World, **wanted: Any) -> list[dict[str, Any]]:
-    await settled(world.server.kernel.store)
-    entry = world.server.kernel.registry.entries["/system/audit"]
+    await settled(world.server.gateway.store)
+    entry = world.server.gateway.registry.entries["/system/audit"]
     found = [sample.value for sample in entry.ring]
     return [r for r in found if all(r.get(key) == value for key, value in wanted.items())]
 
@@ -175,7 +175,7 @@ async def test_a_long_value_is_told_by_its_length_and_hash(world: World) -> None
 async def test_a_long_text_is_cut_but_a_value_is_told_whole(world: World) -> None:
     long = "x" * 600
     facts = {"message": long, "value": long, "name": "short"}
-    world.server.kernel.event_bus.note("write", principal=None, path="/" + long, **facts)
+    world.server.gateway.event_bus.note("write", principal=None, path="/" + long, **facts)
     [found] = await records(world, what="write")
     assert (len(found["message"]), len(found["path"])) == (500, 500)
     assert (found["value"], found["name"]) == (long, "short")
@@ -239,7 +239,7 @@ async def test_an_acknowledged_lease_is_kept(tmp_path: Path) -> None:
     ask = {"type": "execute", "path": "/system/leases"}
     body = {"do": "acquire", "scope": "/tenant/alpha/param"}
     async with world_of(kept_in(path)) as world:
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         client = world.client()
         with closing(sqlite3.connect(path)) as other:
             other.execute("BEGIN IMMEDIATE")
@@ -344,7 +344,7 @@ async def test_old_records_are_deleted_and_the_chain_holds_from_there(tmp_path: 
         await admin.ask(type="subscribe", path="/system/audit", body={"history": 100})
         pruned = await admin.until(lambda m: m["type"] == "update" and m["body"]["what"] == "prune")
         assert pruned["body"]["to"] >= 5
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     verdict = examined(path)
     assert verdict.findings == []
     assert verdict.first > 5
@@ -359,7 +359,7 @@ async def test_a_clock_that_is_far_ahead_deletes_no_record_before_a_day_has_pass
     text = kept_in(tmp_path / "store.db") + "[audit]\nkeep_days = 30\n"
 
     async def kept(world: World) -> int:
-        store, found = world.server.kernel.store, list[int]()
+        store, found = world.server.gateway.store, list[int]()
         query = "SELECT min(seq) FROM audit"
         store.look(lambda base: base.execute(query).fetchone()[0], found.append)
         await settled(store)
@@ -394,7 +394,7 @@ async def test_no_reply_leaves_before_its_record_is_committed(
 ) -> None:
     path = tmp_path / "store.db"
     async with world_of(kept_in(path)) as world:
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         client = world.client()
         with closing(sqlite3.connect(path)) as other:
             other.execute("BEGIN IMMEDIATE")
@@ -414,11 +414,11 @@ async def test_no_reply_leaves_before_its_record_is_committed(
 
 async def test_what_cannot_go_on_record_is_refused_but_never_the_estop(tmp_path: Path) -> None:
     async with world_of(kept_in(tmp_path / "store.db")) as world:
-        store = world.server.kernel.store
+        store = world.server.gateway.store
         await settled(store)
         with closing(sqlite3.connect(tmp_path / "store.db")) as other:
             other.execute("BEGIN IMMEDIATE")
-            kernel = world.server.kernel
+            kernel = world.server.gateway
             for number in range(6000):
                 kernel.event_bus.note("write", principal=None, number=number)
             client = world.client()
@@ -446,7 +446,7 @@ async def test_the_oldest_records_go_while_the_store_is_too_large(tmp_path: Path
     path = tmp_path / "store.db"
     text = kept_in(path) + "[audit]\nkeep_mb = 1\n"
     async with world_of(text) as world:
-        kernel = world.server.kernel
+        kernel = world.server.gateway
         for number in range(2000):
             kernel.event_bus.note("write", principal=None, number=number, message="x" * 500)
     assert path.stat().st_size > 1_000_000
@@ -454,7 +454,7 @@ async def test_the_oldest_records_go_while_the_store_is_too_large(tmp_path: Path
         admin = world.client("admin-admin-admin")
         await admin.ask(type="subscribe", path="/system/audit", body={"history": 100})
         await admin.until(lambda m: m["type"] == "update" and m["body"]["what"] == "prune")
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     verdict = examined(path)
     assert verdict.findings == []
     assert 500 < verdict.count < 1900
@@ -463,13 +463,13 @@ async def test_the_oldest_records_go_while_the_store_is_too_large(tmp_path: Path
 
 async def test_a_store_that_cannot_be_written_makes_the_gateway_degraded(tmp_path: Path) -> None:
     async with world_of(kept_in(tmp_path / "store.db")) as world:
-        store = world.server.kernel.store
+        store = world.server.gateway.store
         admin = world.client("admin-admin-admin")
         assert (await admin.ask(type="status"))["body"]["state"] == "ok"
         await settled(store)  # the login of the admin too
         with closing(sqlite3.connect(tmp_path / "store.db")) as other:
             other.execute("BEGIN IMMEDIATE")
-            world.server.kernel.event_bus.note("login", principal=None)
+            world.server.gateway.event_bus.note("login", principal=None)
             await until_trouble(store)
             status = (await admin.ask(type="status"))["body"]
             assert status["state"] == "degraded"

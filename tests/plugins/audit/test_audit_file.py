@@ -35,7 +35,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for _ in range(8):
                 await world.client().ask(type="write", path=LIMIT, body=1.0)
         async with world_of(kept_in(path) + "[audit]\nkeep_days = 1e-9\n") as world:
-            store = world.server.kernel.store
+            store = world.server.gateway.store
             done = asyncio.Event()
             store.look(lambda _base: None, lambda _found: done.set())
             await done.wait()  # the first look for what is too old came before it

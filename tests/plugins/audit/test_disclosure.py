@@ -86,7 +86,7 @@ async def watched(world: World, token: str) -> Client:
 async def heard(world: World, client: Client) -> list[dict[str, Any]]:
     """Return what somebody was told until a mark that all see, without the mark."""
     marker = world.client(client_token(client))
-    await settled(world.server.kernel.store)
+    await settled(world.server.gateway.store)
     await marker.ask(type="write", path=f"{place(client)}/param/limit", body=9.75, id="mark")
     found: list[dict[str, Any]] = []
     async with asyncio.timeout(BOUND):
@@ -282,7 +282,7 @@ async def test_what_names_something_hidden_is_not_shown(world: World) -> None:
 
 def shown_of(world: World) -> Any:
     """Return what decides of each record who is shown what of it."""
-    [resource] = world.server.kernel.features.resources_of("audit")
+    [resource] = world.server.gateway.features.resources_of("audit")
     return resource.shows
 
 
@@ -311,7 +311,7 @@ async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_p
         "steps": [{"step": "1", "do": "read", "path": "/tenant/beta/sensor/hush", "result": SECRET}]
     }
     async with world_of(kept_in(path, CONFIG), make=Talking) as world:
-        events, session = world.server.kernel.event_bus, world.client(BOTH).connection.session
+        events, session = world.server.gateway.event_bus, world.client(BOTH).connection.session
         # As gateways before this one wrote them: whole, in the tenant of the session.
         for what, value in (
             ("execute", {"lines": "read /tenant/beta/sensor/hush"}),
@@ -321,7 +321,7 @@ async def test_old_records_of_whole_plans_are_for_those_who_see_everything(tmp_p
             events.note(what, principal=session.principal, **facts)
         facts = {"tenant": "alpha", "path": ALPHA, "value": {"steps": [{"value": SECRET}]}}
         events.note("denial", principal=session.principal, outcome="out_of_range", **facts)
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     async with world_of(kept_in(path, CONFIG), make=Talking) as world:
         ada, root = world.client(ADA), world.client(ROOT)
         for client in (ada, root):
@@ -368,7 +368,7 @@ async def test_a_record_is_judged_once_and_anew_when_the_tree_has_changed(world:
 async def test_looking_through_the_whole_record_takes_many_turns(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gateway, client = world.server.kernel, world.client(PARTIAL)
+    gateway, client = world.server.gateway, world.client(PARTIAL)
     entry = gateway.registry.entries["/system/audit"]
     for seq in range(10_000, 11_000):
         value = {"seq": seq, "what": "write", "tenant": "alpha", "path": ALPHA}

@@ -31,7 +31,7 @@ def path(tmp_path: Path) -> Path:
 
 async def looked(world: World, query: str) -> Any:
     """Ask the store once retention has done what it has begun."""
-    store, found = world.server.kernel.store, list[Any]()
+    store, found = world.server.gateway.store, list[Any]()
     for _ in range(3):  # a look, the deletion, and another look
         await settled(store)
     store.look(lambda base: base.execute(query).fetchone()[0], found.append)

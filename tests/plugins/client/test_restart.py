@@ -66,7 +66,7 @@ async def test_a_command_is_found_again_from_a_new_session() -> None:
 def _sessions_that_end(gateway: Gateway) -> asyncio.Event:
     """Return what is set when the gateway lets a session go."""
     assert gateway.server is not None
-    sessions, gone = gateway.server.kernel.sessions, asyncio.Event()
+    sessions, gone = gateway.server.gateway.sessions, asyncio.Event()
     drop = sessions.drop
 
     def dropped(session: Session) -> None:

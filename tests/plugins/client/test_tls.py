@@ -98,7 +98,7 @@ async def test_a_gateway_that_cannot_be_trusted_gets_no_token(
             with pytest.raises(ConnectionLost, match=told):
                 async with rcp_client.connect(url, cacert=str(cacert), token=KEY):
                     pass
-            assert not gateway.server.kernel.sessions.known
+            assert not gateway.server.gateway.sessions.known
     async with secured(ca.server()) as gateway:
         code, _, error = await rcpctl("--url", gateway.url, "--token", KEY, "status")
         assert code == 4

@@ -133,7 +133,7 @@ def test_without_the_library_the_remedy_names_it(monkeypatch: pytest.MonkeyPatch
 
 def watching(gateway: Site, path: str = BLOB["path"]) -> int:
     """Count the subscriptions to a camera."""
-    (entry,) = gateway.server.kernel.registry.match(Pattern(path, None))
+    (entry,) = gateway.server.gateway.registry.match(Pattern(path, None))
     return len(entry.listeners)
 
 
@@ -227,7 +227,7 @@ async def test_a_stream_ends_with_the_right_to_it(http: httpx.AsyncClient, gatew
     async with asyncio.timeout(30), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
         coming = parts(answer)
         await anext(coming)
-        kernel = gateway.server.kernel
+        kernel = gateway.server.gateway
         kernel.reconfigure(msgspec.structs.replace(kernel.settings.config, keys=()))
         assert [data async for data in coming] == []
     assert watching(gateway) == 0

@@ -99,7 +99,7 @@ async def test_it_is_kept_only_while_somebody_asks(static: Any) -> None:
 
 def watching(gateway: Site) -> int:
     """Count the subscriptions to the pose."""
-    (entry,) = gateway.server.kernel.registry.match(Pattern(POSE, None))
+    (entry,) = gateway.server.gateway.registry.match(Pattern(POSE, None))
     return len(entry.listeners)
 
 

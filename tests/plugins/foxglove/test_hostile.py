@@ -158,7 +158,7 @@ async def test_a_slow_viewer_delays_only_itself_and_is_told_what_it_missed(
 
 
 async def test_a_viewer_that_vanishes_leaves_nothing(gateway: Site) -> None:
-    sessions = gateway.server.kernel.sessions.known
+    sessions = gateway.server.gateway.sessions.known
     before = len(sessions)
     for _ in range(5):
         async with viewing(gateway.url, OPERATOR) as viewer:

@@ -183,7 +183,7 @@ class Client:
         return True
 
     def _tell_guard(self) -> None:
-        kernel = self._server.kernel
+        kernel = self._server.gateway
         report = kernel.status.plain()
         text = _finished(kernel.exposition.write(self._connection.session.rights)).decode()
         tell(

@@ -340,7 +340,7 @@ async def test_a_failed_login_is_on_record(issuer: Issuer) -> None:
         httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser,
     ):
         await back(browser, issuer, nonce="x")
-        kernel = gateway.server.kernel
+        kernel = gateway.server.gateway
         await settled(kernel.store)
         newest = kernel.registry.entries["/system/audit"].ring[-1].value
         assert newest["what"] == "denial"
@@ -353,7 +353,7 @@ async def test_a_login_that_is_refused_for_the_many_before_is_on_record(issuer: 
         httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser,
     ):
         assert [(await back(browser, issuer, nonce="x")).status_code for _ in "ab"] == [401, 429]
-        kernel = gateway.server.kernel
+        kernel = gateway.server.gateway
         await settled(kernel.store)
         newest = kernel.registry.entries["/system/audit"].ring[-1].value
         assert (newest["what"], newest["outcome"]) == ("denial", "rate_limited")

@@ -191,7 +191,7 @@ async def test_what_a_person_has_logged_in_with_is_forgotten_when_the_login_ends
 ) -> None:
     more = "[features.logins]\nper_person = 1\n"
     async with people_logging_in(issuer, more) as gateway:
-        kernel = gateway.server.kernel
+        kernel = gateway.server.gateway
 
         async def proofs() -> int:
             await settled(kernel.store)
@@ -208,7 +208,7 @@ async def test_what_a_person_has_logged_in_with_is_forgotten_when_the_login_ends
 
 async def test_what_a_login_that_does_not_begin_came_with_is_forgotten(issuer: Issuer) -> None:
     async with people_logging_in(issuer, "[features.logins]\nmost = 1\n") as gateway:
-        kernel = gateway.server.kernel
+        kernel = gateway.server.gateway
         for name, status in (("ann", 303), ("bob", 503)):
             async with httpx.AsyncClient(base_url=gateway.url, timeout=BOUND) as browser:
                 assert (await back(browser, issuer, sub=name)).status_code == status

@@ -89,7 +89,7 @@ async def principal(gateway: Site, secret: str) -> str | None:
 
 def facts(gateway: Site) -> list[dict[str, Any]]:
     """Return what the health report says of the ways to prove oneself."""
-    return list(gateway.server.kernel.identities.facts)
+    return list(gateway.server.gateway.identities.facts)
 
 
 def written(folder: Path) -> bytes:
@@ -121,7 +121,7 @@ async def test_logins_outlive_a_restart_unless_they_were_ended_or_their_key_is_g
         (keys,) = [fact for fact in facts(gateway) if fact["name"].startswith("jwt ")]
         assert keys["state"] == "down"
         assert "the last ones count until 20" in keys["detail"]
-        store = gateway.server.kernel.store
+        store = gateway.server.gateway.store
         await settled(store)
         ((source, row),) = store.load("jwt.keys").items()
         store.put("jwt.keys", source, row | {"fetched": row["fetched"] - 86_400 * 10**9})
@@ -162,10 +162,10 @@ async def test_behind_a_proxy_that_adds_tls_the_cookies_are_the_hosts_alone(issu
 
 def reloaded(gateway: Site, change: Callable[[str], str]) -> None:
     """Change the tables of issuers in a running gateway."""
-    config = gateway.server.kernel.settings.config
+    config = gateway.server.gateway.settings.config
     text = change(login_table(config.jwt[0]["issuer"], gateway.port))
     changed = msgspec.structs.replace(config, jwt=parse(ALPHA + text, "test").jwt)
-    gateway.server.kernel.reconfigure(changed, prepared(changed, []).features)
+    gateway.server.gateway.reconfigure(changed, prepared(changed, []).features)
 
 
 @pytest.mark.parametrize(

@@ -383,7 +383,7 @@ async def test_a_lease_outlives_the_gateway_that_gave_it(tmp_path: Path) -> None
         request = Request(type="execute", path="/system/leases", encoding=Encoding.JSON)
         request.body = type(request.body)(b'{"do":"acquire","scope":"/tenant/alpha","ttl":100}')
         before = (await client_api.request(http, request)).body
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     async with world_of(text) as world:
         client = world.client(ADMIN)
         assert code(await drive(client)) == "lease_held"
@@ -398,7 +398,7 @@ async def test_a_lease_does_not_outlast_a_clock_that_was_set_back_over_a_restart
     text = kept_in(tmp_path / "rcp.db", CONFIG + PEOPLE)
     async with world_of(text, clock=stepped.clock) as world:
         await lease(world.client(AGENT), "acquire", scope="/tenant/alpha")
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     stepped.adjust(-7 * 86_400)
     async with world_of(text, clock=stepped.clock) as world:
         other = world.client()
@@ -415,11 +415,11 @@ async def test_nor_does_it_get_the_longest_time_again_at_every_restart(
     text = kept_in(tmp_path / "rcp.db", CONFIG + PEOPLE)
     async with world_of(text, clock=stepped.clock) as world:
         await lease(world.client(AGENT), "acquire", scope="/tenant/alpha")
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
     stepped.adjust(-7 * 86_400)
     for _ in range(2):
         async with world_of(text, clock=stepped.clock) as world:
-            await settled(world.server.kernel.store)
+            await settled(world.server.gateway.store)
             stepped.advance(200)  # of `lease_ttl_max`, 300
     async with world_of(text, clock=stepped.clock) as world:
         reply = await world.client().ask(type="write", path="/param/limit", body=1.0)

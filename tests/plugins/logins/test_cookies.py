@@ -293,7 +293,7 @@ async def test_a_login_ends_with_its_key_at_once_and_outlives_a_restart(tmp_path
     ):
         _, good = TokenFile(store).create("ann", granted, None)
         token, revoked = TokenFile(store).create("bob", granted, None)
-        identities = gateway.server.kernel.identities
+        identities = gateway.server.gateway.identities
         await until(lambda: all(_proves(identities, key) for key in (good, revoked)))
         kept, secret = await log_in(http, good), ""
         async with browser(gateway) as other:
@@ -448,7 +448,7 @@ async def test_a_gateway_without_the_feature_says_so() -> None:
 
 
 async def test_removing_a_key_from_the_configuration_ends_its_logins(gateway: Site) -> None:
-    kernel = gateway.server.kernel
+    kernel = gateway.server.gateway
     before = kernel.settings.config
     async with browser(gateway) as http:
         secret = await log_in(http)

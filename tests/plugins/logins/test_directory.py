@@ -197,7 +197,7 @@ async def test_whose_rights_have_changed_is_judged_by_those_of_now(served: Serve
     begun(served, BETA)
     head = served.client(HEAD)
     assert await names(head) == []
-    kernel = served.server.kernel
+    kernel = served.server.gateway
     before = kernel.settings.config
     roles: dict[str, str | tuple[str, ...]] = {"alpha": "operator"}
     keys = tuple(

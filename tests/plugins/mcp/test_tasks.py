@@ -99,7 +99,7 @@ async def test_a_restart_leaves_a_task_failed_with_the_reason(tmp_path: Path) ->
         id_ = (await first.call("action-go", x=3))["taskId"]
         await first.http.aclose()
         # As after a power cut: nothing of the command's end is kept.
-        made.server.kernel.journal.keep = lambda _command: None  # type: ignore[method-assign]
+        made.server.gateway.journal.keep = lambda _command: None  # type: ignore[method-assign]
     async with site(more=kept) as made:
         second = Client(made.url, **TASKS)
         found = await second.state(id_)

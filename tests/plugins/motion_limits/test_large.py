@@ -50,9 +50,9 @@ def features(envelopes: str) -> tuple[ActiveFeature, ...]:
 
 def limit_is_known(world: World, session: Session, path: str) -> bool:
     """Ask, in this very turn, whether a value beyond the bound would be refused."""
-    entry = world.server.kernel.registry.entries[f"/tenant/alpha{path}"]
+    entry = world.server.gateway.registry.entries[f"/tenant/alpha{path}"]
     try:
-        world.server.kernel.features.foresee(session, entry, 2.0)
+        world.server.gateway.features.foresee(session, entry, 2.0)
     except OutOfRange:
         return True
     return False
@@ -60,7 +60,7 @@ def limit_is_known(world: World, session: Session, path: str) -> bool:
 
 async def test_a_reload_over_a_large_tree_is_short_and_its_limits_count_at_once() -> None:
     async with world_of(CONFIG, Large) as world:
-        kernel, client = world.server.kernel, world.client()
+        kernel, client = world.server.gateway, world.client()
         assert len(kernel.registry.entries) > MANY
         last = f"/param/p{MANY - 1}"
         assert code(await client.ask(type="write", path=last, body=2.0)) == "completed"

@@ -18,7 +18,7 @@ class TestMotionLimits(FeatureSuite):
 
     def _limit(self, gateway: FeatureGateway, *envelopes: dict[str, Any]) -> None:
         """Reload with other envelopes."""
-        kernel = gateway.served.server.kernel
+        kernel = gateway.served.server.gateway
         config = msgspec.structs.replace(kernel.settings.config, envelopes=envelopes)
         kernel.reconfigure(config, self.features(config))
 

@@ -61,7 +61,7 @@ def flat(steps: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def done(world: World, client: Client) -> list[tuple[str, Any]]:
     """List what reached the robot."""
-    ran = [c for c in world.server.kernel.commands.every() if c.path != "/system/plans"]
+    ran = [c for c in world.server.gateway.commands.every() if c.path != "/system/plans"]
     writes = [("/" + name, value) for name, value in world.robot.writes]
     return writes + [(c.path.removeprefix("/tenant/alpha"), c.input) for c in ran]
 

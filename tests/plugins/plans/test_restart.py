@@ -15,7 +15,7 @@ async def test_a_plan_that_a_crash_cut_off_is_failed_with_that_reason(tmp_path: 
         await run(client, echo("ended"), idempotency_key="ended")
         send(client, go(2.0), echo(), idempotency_key="cut-off")
         await begun(world)
-        await settled(world.server.kernel.store)
+        await settled(world.server.gateway.store)
         for suffix in (".head", "", "-wal"):
             shutil.copy(tmp_path / f"a.db{suffix}", tmp_path / f"b.db{suffix}")
     async with world_of(kept_in(tmp_path / "b.db")) as world:

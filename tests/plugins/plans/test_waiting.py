@@ -211,5 +211,5 @@ async def test_the_list_of_plans_is_written_in_steps() -> None:
         client = world.client()
         await run(client, echo())
         session = client.connection.session
-        view = world.server.kernel.system.views["/system/plans"](session)
+        view = world.server.gateway.system.views["/system/plans"](session)
         assert isinstance(view, Iterator)

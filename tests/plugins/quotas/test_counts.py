@@ -132,7 +132,7 @@ class Counts(RuleBasedStateMachine):
     def finish(self) -> None:
         async def work() -> None:
             self.world.robot.release.set()
-            while self.world.server.kernel.commands.running:  # noqa: ASYNC110
+            while self.world.server.gateway.commands.running:  # noqa: ASYNC110
                 await asyncio.sleep(0.001)
             self.world.robot.release.clear()
 
@@ -146,7 +146,7 @@ class Counts(RuleBasedStateMachine):
     @rule()
     def expire(self) -> None:
         async def work() -> None:
-            sessions = self.world.server.kernel.sessions
+            sessions = self.world.server.gateway.sessions
             for session in [s for s in sessions.known.values() if s.cut is not None]:
                 sessions.drop(session)
 
@@ -157,7 +157,7 @@ class Counts(RuleBasedStateMachine):
         if not hasattr(self, "world"):
             return
         self.do(asyncio.sleep(0))
-        kernel = self.world.server.kernel
+        kernel = self.world.server.gateway
         sessions = kernel.sessions.known.values()
         found = {usage for session in sessions for usage in usages_of(session)}
         self.usages += found - {*self.usages}
@@ -167,7 +167,7 @@ class Counts(RuleBasedStateMachine):
             running = {
                 id_
                 for id_, command in kernel.commands.running.items()
-                if command.asker is not None and usage in usages_of(command.asker)
+                if command.requester is not None and usage in usages_of(command.requester)
             }
             assert usage.commands == running
             for what in ("connected", "subscriptions"):

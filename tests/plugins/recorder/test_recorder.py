@@ -221,7 +221,7 @@ async def test_what_does_not_change_is_recorded_at_the_start(gateway: Open, fold
         made, admin = robot_of(served), served.client(ADMIN)
         made.measure("sensor/speed", 0.25)
         made.measure("param/limit", 0.5)
-        entry = served.server.kernel.registry.entries["/tenant/alpha/param/limit"]
+        entry = served.server.gateway.registry.entries["/tenant/alpha/param/limit"]
         assert entry.latest is not None
         entry.latest.received -= 100 * 10**9  # it was received long before the other
         await do(admin, start={"name": "test", "paths": ["/tenant/alpha/**"]})

@@ -37,7 +37,7 @@ class Site:
 
     @property
     def kernel(self) -> Any:
-        return self.served.server.kernel
+        return self.served.server.gateway
 
 
 @asynccontextmanager

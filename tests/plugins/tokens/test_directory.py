@@ -85,7 +85,7 @@ async def test_a_revoked_key_ends_its_sessions_and_stays_revoked_after_a_restart
         again = await head.request("execute", PATH, body={"revoke": id_})
         assert again["body"]["revoked"] == done["body"]["revoked"]
     async with serving(tmp_path) as served:
-        assert served.server.kernel.identities.renewed(page.connection.session.principal) is None
+        assert served.server.gateway.identities.renewed(page.connection.session.principal) is None
         (ann,) = (await served.client(HEAD).request("read", PATH))["body"]
         assert ann["state"] == "revoked"
 

@@ -91,7 +91,7 @@ async def test_a_reload_keeps_what_is_as_before_and_ends_the_rest() -> None:
             return len(await rig.alarms()) == 2
 
         await rig.eventually(both)
-        kernel = rig.served.server.kernel
+        kernel = rig.served.server.gateway
         features = {"triggers": {"rules": {"low": rules["low"], "new": RULE | {"alarm": True}}}}
         config = msgspec.structs.replace(kernel.settings.config, features=features)
         only = [one for one in active(config, {"triggers": KIND}, "test") if one.kind is KIND]

@@ -129,7 +129,7 @@ async def test_its_command_has_the_rights_that_its_maker_has_now() -> None:
         commands = (await rig.admin.request("read", "/system/commands"))["body"]
         assert commands[0]["principal"] == "operator"
 
-        kernel = rig.served.server.kernel
+        kernel = rig.served.server.gateway
         config = kernel.settings.config
         keys = tuple(one for one in config.keys if one.name != "operator")
         kernel.reconfigure(msgspec.structs.replace(config, keys=keys), ())
@@ -288,7 +288,7 @@ async def test_metrics_follow_the_conventions() -> None:
         await rig.made(alarm=True)
         rig.robot().measure("sensor/battery", 10.0)
         await rig.eventually(rig.alarms)
-        kernel = rig.served.server.kernel
+        kernel = rig.served.server.gateway
         session = rig.served.server.client_api.session(
             rig.served.server.client_api.authenticate(ADMIN)
         )

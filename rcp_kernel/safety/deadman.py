@@ -1,8 +1,4 @@
-"""Motion safety shared by all transports: stale commands, the dead-man, the e-stop latch.
-
-Actuators and actions move. The e-stop bypasses every queue: it calls `Backend.halt` directly, is
-repeated until the robot confirms, and stays latched.
-"""
+"""The dead-man: what brings an actuator to rest when nobody commands it any more."""
 
 from __future__ import annotations
 
@@ -12,87 +8,19 @@ from typing import Any
 
 import structlog
 
-from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.contract.fence import unfenced
-from rcp_kernel.errors import AlreadyRunning, BadRequest, EstopActive, StaleCommand
+from rcp_kernel.errors import BadRequest
 from rcp_kernel.safety.retry import retry_until_confirmed
+from rcp_kernel.safety.safe_value import safe_value
 from rcp_kernel.safety.shared_handle import Cancellable, Shared
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
 
-__all__ = [
-    "REPLY_GRACE",
-    "Deadman",
-    "check_age",
-    "check_hold",
-    "check_motion",
-    "is_safe",
-    "safe_value",
-]
+__all__ = ["REPLY_GRACE", "Deadman"]
 
 log = structlog.get_logger("rcp.safety")
 _ESCALATE_AFTER = 0.25  # s without a safe value being accepted; then other backends are halted
 REPLY_GRACE = 1.0  # s added to a write's validity while its reply is outstanding
-
-
-def check_motion(entry: Entry) -> None:
-    """Refuse motion under a latched e-stop.
-
-    :raises EstopActive: the path moves something, and its robot is stopped.
-    """
-    latch = entry.unit.latch if entry.barred else None
-    if latch is not None:
-        raise EstopActive(
-            f"{latch.by} has latched an e-stop" + (f": {latch.reason}" if latch.reason else ""),
-            path=entry.path,
-            details=latch.plain(),
-        )
-
-
-def check_hold(entry: Entry, value: Any) -> None:
-    """Refuse motion of a robot that is being brought to rest, which would override the hold.
-
-    :raises AlreadyRunning: a hold has not ended yet.
-    """
-    if entry.unit.is_held and entry.barred and not is_safe(entry, value):
-        raise AlreadyRunning(
-            f"{entry.unit.name} is being brought to rest",
-            path=entry.path,
-            remedy="Send the command again when the robot is at rest.",
-        )
-
-
-def is_safe(entry: Entry, value: Any) -> bool:
-    """Return whether a value brings an actuator to rest."""
-    return entry.resource.safe is not None and bool(value == safe_value(entry))
-
-
-def check_age(entry: Entry, timestamp: str | float) -> None:
-    """Refuse a command that is older, or further in the future, than its path allows.
-
-    A command that moves something must also not be older than the last reset of an e-stop.
-
-    :raises StaleCommand: it is.
-    :raises BadRequest: its timestamp is not a time.
-    """
-    sent = parse_time(timestamp)
-    if sent < entry.unit.released and entry.barred:
-        raise StaleCommand(
-            f"the command was sent before the e-stop on {entry.unit.name} was reset",
-            path=entry.path,
-            remedy="Check the robot, then send a new command.",
-            details={"reset": iso(entry.unit.released)},
-        )
-    limit = entry.resource.max_age
-    if limit is None:
-        return
-    age = (entry.clock.now() - sent) / 1e9
-    if abs(age) > limit:
-        raise StaleCommand(
-            f"the command is {age:.3f} s old; the limit of {entry.path} is {limit:g} s",
-            path=entry.path,
-            details={"age": age, "max_age": limit},
-        )
 
 
 class Deadman:
@@ -358,9 +286,3 @@ class Deadman:
         self._closed = True
         for handle in (*self._timers.values(), *self._stops.values()):
             handle.cancel()
-
-
-def safe_value(entry: Entry) -> Any:
-    """Return the value that brings an actuator to rest, in the type of its path."""
-    safe = entry.resource.safe
-    return entry.value_type.convert(safe) if isinstance(safe, (dict, list)) else safe

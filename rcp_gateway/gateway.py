@@ -28,10 +28,10 @@ from rcp_requests.handshake import Handshake
 from rcp_store.ledger import Ledger
 from rcp_store.store import Store
 
-__all__ = ["Kernel"]
+__all__ = ["Gateway"]
 
 
-class Kernel(Core):
+class Gateway(Core):
     """A gateway without backends that does not serve yet, for `Server` and tests.
 
     No part of it holds it, except `Handlers`: each receives what it uses.
@@ -150,7 +150,7 @@ class Kernel(Core):
             recent,
             registry=self.registry,
             hub=self.hub,
-            sights=self.sights,
+            tree_views=self.tree_views,
             visibility=self.visibility,
             identities=self.identities,
             sessions=self.sessions,
@@ -184,7 +184,7 @@ class Kernel(Core):
             latches=self.latches,
             stops=self.stops,
             registry=self.registry,
-            sights=self.sights,
+            tree_views=self.tree_views,
             recent=recent,
             features=self.features.resources,
             reader_status=self.features.reader_status,

@@ -14,7 +14,7 @@ from configuration import key, role, rule
 from kernel.judging import AT_ONCE, judged
 from kernel.world import BOUND, CONFIG, Client, Robot, World, world_of
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.access.sights import Sight
+from rcp_kernel.access.tree_views import TreeView
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio
@@ -122,41 +122,41 @@ async def test_what_is_counted_is_what_there_is_however_the_tree_has_changed() -
                     robot.remove(level(number).name)
                 else:
                     robot.add(level(number, f"Level {dice.randrange(3)}."))
-            sight = await _looked(world, rights)
-            there = world.server.kernel.registry.entries.values()
-            assert sight.visible == sum(1 for e in there if rights.mask(e.path))
+            view = await _looked(world, rights)
+            there = world.server.gateway.registry.entries.values()
+            assert view.visible == sum(1 for e in there if rights.mask(e.path))
             hidden = [e for e in there if e.tenant and not rights.mask(e.path)]
-            assert sight.hidden_of("alpha", "robot").count == len(hidden)
-            assert not sight.whole("alpha")
+            assert view.hidden_of("alpha", "robot").count == len(hidden)
+            assert not view.whole("alpha")
 
 
 async def test_somebody_from_whom_nothing_is_hidden_sees_the_whole() -> None:
     async with many() as world:
         api = world.server.client_api
         rights = api.rights(api.authenticate("admin-admin-admin"))
-        sights = world.server.kernel.status.sights
-        assert not sights.look(rights).whole(None)  # it is not known yet, and so denied
+        views = world.server.gateway.status.tree_views
+        assert not views.look(rights).whole(None)  # it is not known yet, and so denied
         await _looked(world, rights)
-        assert sights.look(rights).whole(None)
-        assert sights.look(rights).whole("alpha")
+        assert views.look(rights).whole(None)
+        assert views.look(rights).whole("alpha")
 
 
 async def test_what_is_new_counts_as_hidden_until_it_was_looked_at() -> None:
     async with many() as world:
         api, robot = world.server.client_api, world.robot
         rights = api.rights(api.authenticate("admin-admin-admin"))
-        sights = world.server.kernel.status.sights
+        views = world.server.gateway.status.tree_views
         await _looked(world, rights)
         for number in range(1, 1001):  # more than are looked at in one step
             robot.add(level(number, "A new level."))
-        sight = sights.look(rights)
-        assert not sight.whole("alpha")
-        assert sight.mentions_hidden("alpha", "robot", "anything")
-        sight = await _looked(world, rights)
-        assert sight.whole("alpha")
-        assert not sight.mentions_hidden("alpha", "robot", "anything")
+        view = views.look(rights)
+        assert not view.whole("alpha")
+        assert view.mentions_hidden("alpha", "robot", "anything")
+        view = await _looked(world, rights)
+        assert view.whole("alpha")
+        assert not view.mentions_hidden("alpha", "robot", "anything")
 
 
-async def _looked(world: World, rights: Rights) -> Sight:
-    turns, sights = world.server.client_api.turns, world.server.kernel.status.sights
-    return await turns.finish("test", sights.catch_up(rights))
+async def _looked(world: World, rights: Rights) -> TreeView:
+    turns, views = world.server.client_api.turns, world.server.gateway.status.tree_views
+    return await turns.finish("test", views.catch_up(rights))

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rcp_kernel.tree.entry import Entry
     from rcp_kernel.tree.registry import Registry
 
-__all__ = ["Hidden", "Sight", "Sights"]
+__all__ = ["Hidden", "TreeView", "TreeViews"]
 
 _STEP = 128  # paths that are judged at once: a millisecond
 _NAMES = 1000  # hidden resources of a backend whose names are stored
@@ -148,7 +148,7 @@ class _Part:
         return bool(mask)
 
 
-class Sight:
+class TreeView:
     """What a set of rights sees, as far as changes have been processed."""
 
     __slots__ = ("busy", "current", "growing", "number", "parts", "tree")
@@ -195,14 +195,14 @@ class Sight:
         return self.current and not any(found.count for found in meant)
 
 
-class Sights:
-    """The sights of all sets of rights in use."""
+class TreeViews:
+    """The views of all sets of rights in use."""
 
     def __init__(self, registry: Registry, turns: Turns) -> None:
         self._registry = registry
         self._turns = turns
         self._changes: dict[str | None, _Changes] = {}
-        self._known: WeakKeyDictionary[Rights, Sight] = WeakKeyDictionary()
+        self._known: WeakKeyDictionary[Rights, TreeView] = WeakKeyDictionary()
         registry.on_added.append(self._added)
         registry.on_removed.append(self._removed)
 
@@ -217,41 +217,41 @@ class Sights:
         tenants = self._registry.growing(pattern)
         return tenants if "*" in rights.tenants else tenants.intersection(rights.tenants)
 
-    def look(self, rights: Rights) -> Sight:
-        """Return the sight after one step; remaining changes are processed soon."""
-        sight = self._sight(rights)
-        if sight.tree != self._registry.generation and not sight.busy:
-            work = self._look_further(rights, sight)
+    def look(self, rights: Rights) -> TreeView:
+        """Return the view after one step; remaining changes are processed soon."""
+        view = self._view(rights)
+        if view.tree != self._registry.generation and not view.busy:
+            work = self._look_further(rights, view)
             for _ in work:
-                sight.busy = True
-                self._turns.oblige(sight, self._rest(sight, work))
+                view.busy = True
+                self._turns.oblige(view, self._rest(view, work))
                 break
-        sight.current = sight.tree == self._registry.generation
-        return sight
+        view.current = view.tree == self._registry.generation
+        return view
 
-    def catch_up(self, rights: Rights) -> Generator[None, None, Sight]:
-        """Process all changes in steps; return the sight."""
-        sight = self._sight(rights)
-        while sight.tree != self._registry.generation:
-            if sight.busy:
+    def catch_up(self, rights: Rights) -> Generator[None, None, TreeView]:
+        """Process all changes in steps; return the view."""
+        view = self._view(rights)
+        while view.tree != self._registry.generation:
+            if view.busy:
                 yield
             else:
-                sight.busy = True
-                yield from self._rest(sight, self._look_further(rights, sight))
-        sight.current = True
-        return sight
+                view.busy = True
+                yield from self._rest(view, self._look_further(rights, view))
+        view.current = True
+        return view
 
     @staticmethod
-    def _rest(sight: Sight, work: Work) -> Work:
+    def _rest(view: TreeView, work: Work) -> Work:
         try:
             yield from work
         finally:
-            sight.busy = False
+            view.busy = False
 
-    def _sight(self, rights: Rights) -> Sight:
+    def _view(self, rights: Rights) -> TreeView:
         known = self._known.get(rights)
         if known is None:
-            known = self._known[rights] = Sight(self.growing(rights))
+            known = self._known[rights] = TreeView(self.growing(rights))
             for tenant, changes in self._changes_in(rights):
                 known.parts[tenant] = _Part(changes, known=True)
         return known
@@ -261,19 +261,19 @@ class Sights:
         held = (None, *rights.tenants)
         return [(t, c) for t, c in self._changes.items() if "*" in held or t in held]
 
-    def _look_further(self, rights: Rights, sight: Sight) -> Work:
-        while sight.tree != (generation := self._registry.generation):
+    def _look_further(self, rights: Rights, view: TreeView) -> Work:
+        while view.tree != (generation := self._registry.generation):
             growing = self.growing(rights)
-            news = growing != sight.growing
-            sight.growing = growing
+            news = growing != view.growing
+            view.growing = growing
             for tenant, changes in self._changes_in(rights):
-                part = sight.parts.get(tenant)
+                part = view.parts.get(tenant)
                 if part is None or part.missed(changes):
-                    part = sight.parts[tenant] = _Part(changes, known=False)
+                    part = view.parts[tenant] = _Part(changes, known=False)
                 news |= yield from part.look(rights, changes)
                 if part.missed(changes):
                     break
             else:
-                sight.tree = generation
+                view.tree = generation
             if news:
-                sight.count_change()
+                view.count_change()
