@@ -88,7 +88,7 @@ class SharedFanout:
         self._flush_scheduler = ticker
         self._patience = depth // 2
         """Number of samples that wait for each other: less than would be skipped."""
-        self._sent_at = 0.0
+        self._sent_at = float("-inf")
         self._timer: asyncio.TimerHandle | None = None
         self.members: list[SharedPathSubscription] = []
         self.ring: deque[Sample] = deque(maxlen=depth)
