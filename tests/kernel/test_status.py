@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
-
 from structlog.testing import capture_logs
 
 from configuration import backend, key

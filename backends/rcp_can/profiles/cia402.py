@@ -510,7 +510,9 @@ class Cia402Drive(Drive):
         self._rate = self._torque = 0
         self._moving = False
         self._push(COMMANDS["quick_stop"], urgent=True)
-        unheard = not self._configured or now - self.status.at.get("enabled", float("-inf")) > _PATIENCE
+        unheard = (
+            not self._configured or now - self.status.at.get("enabled", float("-inf")) > _PATIENCE
+        )
         if unheard or (self.state == "enabled" and now - self._stop_began > _PATIENCE):
             self._push_by_sdo(COMMANDS["quick_stop"])
 
