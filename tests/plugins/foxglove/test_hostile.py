@@ -6,7 +6,9 @@ import asyncio
 import json
 import random
 import struct
+from collections.abc import Coroutine
 from contextlib import suppress
+from typing import Any
 
 import pytest
 from websockets.asyncio.client import connect
@@ -109,16 +111,19 @@ async def test_what_a_client_asks_for_and_does_not_read_does_not_pile_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked, most = asyncio.Event(), 0
-    done, put = requests.Requests._done, Outbox.put
+    begin, put = requests.Requests.begin, Outbox.put
 
     def count(self: Outbox, data: bytes) -> None:
         nonlocal most
         put(self, data)
         most = max(most, self.waiting)
 
-    def note(self: requests.Requests, task: asyncio.Task[None]) -> None:
-        done(self, task)
-        asked.set()
+    def note(self: requests.Requests, work: Coroutine[Any, Any, None]) -> None:
+        async def noted() -> None:
+            await work
+            asked.set()
+
+        begin(self, noted())
 
     async with site(more="[limits]\nqueue_bytes = 1048576\n") as made:
         many = [f"param/many/p{number}" for number in range(40)]
@@ -134,8 +139,7 @@ async def test_what_a_client_asks_for_and_does_not_read_does_not_pile_up(
             max_queue=1,
         ) as socket:
             await socket.recv()
-            asked.clear()
-            monkeypatch.setattr(requests.Requests, "_done", note)
+            monkeypatch.setattr(requests.Requests, "begin", note)
             names = [f"/{name}" for name in many] * 5
             await socket.send(json.dumps({"op": "getParameters", "parameterNames": names}))
             async with asyncio.timeout(BOUND):

@@ -229,9 +229,11 @@ async def test_a_port_that_another_one_has_leaves_nothing_at_the_listener() -> N
         with pytest.raises(PluginError):
             async with open_foxglove(FoxgloveConfig(path="/second", port=0), client_api):
                 pass
-        async with open_foxglove(FoxgloveConfig(path="/second"), client_api):
-            async with viewing(made.base + "/second", OPERATOR) as viewer:
-                await viewer.channel("/sensor/level")
+        async with (
+            open_foxglove(FoxgloveConfig(path="/second"), client_api),
+            viewing(made.base + "/second", OPERATOR) as viewer,
+        ):
+            await viewer.channel("/sensor/level")
 
 
 async def test_the_time_is_sent_where_it_is_configured() -> None:
