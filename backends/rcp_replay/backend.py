@@ -132,15 +132,16 @@ async def open_replay(config: ReplayConfig, host: Host) -> AsyncGenerator[Replay
 
 
 async def _play(player: Player, host: Host) -> None:
-    try:
-        await player.run()
-    except Exception as error:  # whatever the file has that is no recording
-        log.exception("replay_ended")
-        player.change(paused=True)
-        host.report(
-            f"the recording cannot be read further: {error}. Repair it with `mcap recover`, "
-            "or leave it out"
-        )
+    while True:
+        try:
+            await player.run()
+        except Exception as error:  # whatever the file has that is no recording
+            log.exception("replay_interrupted")
+            player.change(paused=True)  # until somebody seeks to what can be read
+            host.report(
+                f"the recording cannot be read further: {error}. Seek beyond that, repair it with "
+                "`mcap recover`, or leave it out"
+            )
 
 
 def _tracks(recordings: list[Recording]) -> dict[int, Played]:

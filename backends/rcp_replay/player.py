@@ -9,10 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
 from typing import Any
 
+import structlog
+
 from rcp_recordings.reading import Record, Recording, Track, messages
 
 __all__ = ["Player"]
 
+log = structlog.get_logger("rcp.replay")
 _AHEAD = 256  # records read at a time
 _TURN = 64  # records published before others have the event loop
 _BACK = 64  # chunks searched for what was the case at a moment
@@ -215,9 +218,13 @@ class Player:
                 for number, track in recording.tracks.items()
                 if track.channel.topic not in found and self._wanted(track)
             }
-            last = {
-                record.track.channel.topic: record
-                for record in recording.read(chunk, tracks, 0, moment)
-            }
+            try:
+                last = {
+                    record.track.channel.topic: record
+                    for record in recording.read(chunk, tracks, 0, moment)
+                }
+            except Exception as error:  # a damaged part hides nothing of the others
+                log.warning("replay_part_unreadable", error=str(error))
+                continue
             found |= last
         return sorted(found.values(), key=lambda record: record.log_time)

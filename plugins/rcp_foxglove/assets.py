@@ -8,7 +8,7 @@ import msgspec
 
 from rcp_foxglove.frames import asset, asset_failure
 from rcp_foxglove.operations import FetchAsset
-from rcp_foxglove.requests import Requests
+from rcp_foxglove.requests import UNREAD, Requests
 from rcp_foxglove.statuses import refusal_text
 from rcp_foxglove.views import View
 from rcp_kernel.errors import NotImplementedByRobot, QueueFull
@@ -54,7 +54,8 @@ class Assets:
                     value.get("data") if isinstance(value, dict) else getattr(value, "data", None)
                 )
                 if reply.error is None and isinstance(data, bytes):
-                    self._put(asset(wish.request_id, data))
+                    if not self._requests.reply(asset(wish.request_id, data)):
+                        self._put(asset_failure(wish.request_id, f"It is left out: {UNREAD}."))
                     return
                 if (reason := refusal_text(reply)) not in reasons:
                     reasons.append(reason)

@@ -8,7 +8,7 @@ import msgspec
 
 from rcp_foxglove.frames import Call, call_response
 from rcp_foxglove.offers import Service
-from rcp_foxglove.requests import Requests, body_of
+from rcp_foxglove.requests import UNREAD, Requests, body_of
 from rcp_foxglove.statuses import refusal_text
 from rcp_foxglove.views import ESTOP, View
 from rcp_kernel.errors import QueueFull, RcpError, UnknownPath
@@ -56,15 +56,19 @@ class Calls:
             reply = await self._requests.request(request)
             answered = refused_response(reply.error)
             if answered is not None:
-                self._put(call_response(call, _encoded(call, service, answered)))
+                self._respond(call, _encoded(call, service, answered))
             elif reply.error is not None or reply.status != "completed":
                 self._fail(call, refusal_text(reply))
             else:
-                self._put(call_response(call, _result(call, service, reply)))
+                self._respond(call, _result(call, service, reply))
         except RcpError as error:
             self._fail(call, refusal_text(error))
         finally:
             self._running -= 1
+
+    def _respond(self, call: Call, result: bytes) -> None:
+        if not self._requests.reply(call_response(call, result)):
+            self._fail(call, f"It has ended, and its response is left out: {UNREAD}.")
 
     def _fail(self, call: Call, reason: str) -> None:
         facts = {

@@ -59,7 +59,7 @@ class FoxgloveClient(SocketClient):
         self._subscriptions = Subscriptions(client_api, self.connection, self.statuses, config)
         self._publishing = Publishing(self._requests, self._leases, self.statuses, config.valid_for)
         self._calls = Calls(self._requests, put, config.call_timeout)
-        self._parameters = Parameters(self._requests, self.connection, self.statuses, put)
+        self._parameters = Parameters(self._requests, self.connection, self.statuses)
         self._graph = ConnectionGraph(put, f"client {self.connection.session.id[:8]}")
         self._assets = Assets(self._requests, put)
         self._sender = ViewSender(put)

@@ -145,15 +145,17 @@ async def open_foxglove(
                 url_secrets=secret,
             )
         )
-    for mount in mounts:
-        client_api.mount(mount)
+    mounted: list[Mount] = []
     tasks = [asyncio.create_task(endpoint.look(), name="foxglove views")]
     if config.time:
         tasks.append(asyncio.create_task(endpoint.tell_time(), name="foxglove time"))
     try:
+        for mount in mounts:
+            client_api.mount(mount)
+            mounted.append(mount)
         yield {"path": config.path}
     finally:
-        for mount in mounts:
+        for mount in mounted:
             client_api.unmount(mount)
         for task in tasks:
             task.cancel()

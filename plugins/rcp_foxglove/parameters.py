@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from itertools import count
 from typing import Any
 
@@ -11,7 +11,7 @@ import msgspec
 from rcp_foxglove.offers import ParameterOffer
 from rcp_foxglove.operations import Parameter
 from rcp_foxglove.renderings import of_parameter
-from rcp_foxglove.requests import Requests
+from rcp_foxglove.requests import UNREAD, Requests
 from rcp_foxglove.statuses import WARNING, Statuses, refusal_text
 from rcp_foxglove.views import View
 from rcp_gateway.api import Connection
@@ -21,6 +21,7 @@ from rcp_kernel.wire import Reply, Request, encode_body
 __all__ = ["Parameters"]
 
 _PART = 100  # parameters in one message
+_BYTES = 262_144  # of their values, beyond which a message has no more
 
 
 class Parameters:
@@ -31,12 +32,10 @@ class Parameters:
         requests: Requests,
         connection: Connection,
         statuses: Statuses,
-        put: Callable[[bytes], None],
     ) -> None:
         self._requests = requests
         self._connection = connection
         self._statuses = statuses
-        self._put = put
         self._next = count(1)
         self._followed: dict[str, tuple[str, str]] = {}
         """The path and the gateway's subscription of each followed parameter."""
@@ -78,26 +77,33 @@ class Parameters:
     def _wanted(self, names: list[str], view: View) -> list[ParameterOffer]:
         if not names:
             return list(view.parameters.values())
-        return [view.parameters[name] for name in names if name in view.parameters]
+        known = (view.parameters.get(name) for name in dict.fromkeys(names))
+        return [one for one in known if one is not None]
 
     async def _send(self, offers: Iterable[ParameterOffer], id_: str | None) -> None:
         found: list[dict[str, Any]] = []
-        sent = False
+        size, sent, room = 0, False, True
         for one in offers:
             reply = await self._requests.request(Request(type="read", path=one.path))
             if reply.error is None:
                 found.append(_facts(one, reply))
-            if len(found) == _PART:
-                self._values(found, id_)
-                found, sent = [], True
+                size += len(found[-1]["value"])
+            if len(found) == _PART or size > _BYTES:
+                room = self._values(found, id_)
+                found, size, sent = [], 0, True
+            if not room:
+                return
         if found or not sent:
             self._values(found, id_)
 
-    def _values(self, found: list[dict[str, Any]], id_: str | None) -> None:
+    def _values(self, found: list[dict[str, Any]], id_: str | None) -> bool:
         facts: dict[str, Any] = {"op": "parameterValues", "parameters": found}
         if id_ is not None:
             facts["id"] = id_
-        self._put(msgspec.json.encode(facts))
+        room = self._requests.reply(msgspec.json.encode(facts))
+        if not room:
+            self._statuses.tell(f"Values of parameters are left out: {UNREAD}.")
+        return room
 
     async def _set(self, wishes: list[Parameter], id_: str | None, view: View) -> None:
         known: list[ParameterOffer] = []

@@ -16,8 +16,9 @@ from rcp_kernel.model import NativeType
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import NO_BODY, Reply, Request
 
-__all__ = ["Requests", "body_of"]
+__all__ = ["UNREAD", "Requests", "body_of"]
 
+UNREAD = "too much that was sent before is unread"
 _TASKS = 1024
 log = structlog.get_logger("rcp.foxglove")
 
@@ -48,6 +49,14 @@ class Requests:
         self._tasks.discard(task)
         if crowded:
             self.on_room()
+
+    def reply(self, data: bytes) -> bool:
+        """Queue what the client has asked for; return False if too much is unread."""
+        outbox = self._connection.outbox
+        if outbox.backlog.refuses(len(data)):
+            return False
+        outbox.put(data)
+        return True
 
     async def request(self, request: Request) -> Reply:
         """Send a request; a refusal is the reply's error."""

@@ -18,11 +18,13 @@ from rcp_plans.model import Execute, Operate, Read, Write
 from rcp_plans.node import Filling, Node
 from rcp_plans.places import check_place
 from rcp_plans.progress import LONGEST
+from rcp_protocol.structure import LONG
 from rcp_protocol.trace import TRACEPARENT
 
 __all__ = ["StepRequests"]
 
 _PATIENCE = 60.0  # s that rate limits may delay a step without a deadline
+_ENDED = "its plan ended"
 _END = 10.0  # s for a stopped command's final status; the gateway gives a robot less
 Told = Callable[[Any, float | None], None]
 
@@ -99,6 +101,7 @@ class StepRequests:
 
     async def _ask(self, node: Node, request: Request, on_progress: Told) -> Reply:
         final: asyncio.Future[Reply] = self._loop.create_future()
+        unwanted = False
 
         def answer(reply: Reply) -> None:
             if reply.command is not None and node.state.command is None:
@@ -108,6 +111,8 @@ class StepRequests:
                 return
             if reply.final:
                 final.set_result(reply)
+            elif unwanted and (late := self._host.started_by(request)) is not None:
+                self._loop.call_soon(self._host.cancel, late, _ENDED)  # before the robot is called
             elif reply.status == "in_progress":
                 on_progress(_plain(reply.body), reply.progress)
 
@@ -116,17 +121,19 @@ class StepRequests:
         try:
             return await asyncio.shield(final)
         except asyncio.CancelledError:
+            unwanted = True  # a long value waits for its turn: its command may begin later
             await self._stop(node, request, final)
             raise
 
     async def _stop(self, node: Node, request: Request, final: asyncio.Future[Reply]) -> None:
-        """Stop the command of a step and wait until it has ended."""
+        """Stop the command of a step, also one that has not begun yet, and wait until it has ended."""
         state, command = node.state, self._host.started_by(request)
-        if command is None:
+        if command is not None:
+            self._host.cancel(command, _ENDED)
+        elif not isinstance(node.step, Execute) or len(bytes(request.body)) <= LONG:
             if isinstance(node.step, (Write, Execute)):
                 state.message = "it was running when the plan ended; check the robot"
             return
-        self._host.cancel(command, "its plan ended")
         done, _ = await asyncio.wait([final], timeout=_END)
         if not done:
             state.message = "the robot did not confirm that it stopped"

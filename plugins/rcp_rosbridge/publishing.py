@@ -20,6 +20,7 @@ from rcp_rosbridge.status import sentence
 __all__ = ["Publishing"]
 
 _MOST = 1000  # topics that a client publishes on
+_IDS = 16  # advertisements of one topic that are told apart
 _QUEUE = 16  # messages of a topic that wait for the robot
 _REMEDY = "Send a message of the topic's type; /rosapi/message_details describes it."
 _BYTES = 4 * 1024 * 1024  # of all that wait
@@ -55,7 +56,7 @@ class Publishing:
             raise BadRequest(f"a client advertises at most {_MOST} topics")
         id_ = None if op.id_ is None else str(op.id_)
         ids = self._advertised.setdefault(op.topic, set())
-        if len(ids) < _MOST:
+        if len(ids) < _IDS:
             ids.add(id_)
 
         def use(graph: Graph) -> None:

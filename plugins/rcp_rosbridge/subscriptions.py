@@ -24,7 +24,8 @@ MARK = 0
 _AGAIN = 0.25  # s between two looks for topics that do not exist yet
 _TELL = 1.0  # s between two looks for what a client missed
 _DEEPEST = 1024
-_MOST = 1000  # subscriptions of one client, whose topics need not exist
+_MOST = 1000  # topics of one client, which need not exist
+_IDS = 4096  # subscriptions of one client to all its topics
 _SLOWEST = 3_600_000.0  # ms
 _DIALECTS: dict[Compression, Dialect] = {"cbor": "cbor", "cbor-raw": "cbor-raw"}
 _ORDER: tuple[Compression, ...] = ("png", "cbor", "cbor-raw", "none")
@@ -56,6 +57,8 @@ class Subscriptions:
         self._context = context
         self._changed = changed
         self._topics: dict[str, _Subscribed] = {}
+        self._count = 0
+        """Number of subscriptions to all topics."""
         self._numbers = itertools.count(1)
         self._packed: dict[int, _Subscribed] = {}
         self._looking: asyncio.TimerHandle | None = None
@@ -72,13 +75,16 @@ class Subscriptions:
         :raises BadRequest: there are too many.
         """
         subscribed = self._topics.get(op.topic)
+        if subscribed is None and len(self._topics) >= _MOST:
+            raise BadRequest(f"a client subscribes to at most {_MOST} topics")
+        id_ = None if op.id_ is None else str(op.id_)
+        if subscribed is None or id_ not in subscribed.requests:
+            if self._count >= _IDS:
+                raise BadRequest(f"a client has at most {_IDS} subscriptions")
+            self._count += 1
         if subscribed is None:
-            if len(self._topics) >= _MOST:
-                raise BadRequest(f"a client subscribes to at most {_MOST} topics")
             subscribed = self._topics[op.topic] = _Subscribed(next(self._numbers))
-        if len(subscribed.requests) >= _MOST:
-            raise BadRequest(f"a client subscribes at most {_MOST} times to a topic")
-        subscribed.requests[None if op.id_ is None else str(op.id_)] = op
+        subscribed.requests[id_] = op
         self._update(op.topic)
 
     def unsubscribe(self, op: Unsubscribe) -> None:
@@ -89,8 +95,10 @@ class Subscriptions:
             self._context.status.warning(f"there is no subscription to {op.topic}", id_)
             return
         if id_ is None:
+            self._count -= len(subscribed.requests)
             subscribed.requests.clear()
         else:
+            self._count -= 1
             del subscribed.requests[id_]
         if subscribed.requests:
             self._update(op.topic)

@@ -331,3 +331,53 @@ func TestReleaseEndsSoonAfterItsContext(t *testing.T) {
 		t.Error("it was not given back")
 	}
 }
+
+// proxied answers as a proxy that has lost its gateway.
+func proxied(w http.ResponseWriter) {
+	w.WriteHeader(http.StatusBadGateway)
+	tell(w, map[string]any{"message": "no healthy upstream"})
+}
+
+func TestWhatNoGatewayAnsweredIsNotDone(t *testing.T) {
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) { proxied(w) }))
+	defer server.Close()
+	gateway, limit := New(server.URL, ""), "/tenant/alpha/param/limit"
+	var refused *Error
+	if err := (Writable[Float]{limit}).Write(context.Background(), gateway, 1, 0); err == nil || errors.As(err, &refused) {
+		t.Errorf("written: %v", err)
+	}
+	if value, err := (Readable[Float]{limit}).Read(context.Background(), gateway); err == nil {
+		t.Errorf("read: %v", value)
+	}
+	if held, err := Acquire(context.Background(), gateway, "/tenant/alpha", time.Second); err == nil {
+		t.Errorf("held: %v", held)
+	}
+}
+
+func TestALeaseThatIsNotGrantedYetIsNotHeld(t *testing.T) {
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		tell(w, map[string]any{"status": "accepted", "command": "cmd-1"})
+	}))
+	defer server.Close()
+	if held, err := Acquire(context.Background(), New(server.URL, ""), "/tenant/alpha", time.Second); err == nil {
+		t.Errorf("held: %v", held)
+	}
+}
+
+func TestACommandIsCarriedOutThoughAProxyHadLostItsGateway(t *testing.T) {
+	var sent atomic.Int32
+	server := httptest.NewServer(http.HandlerFunc(func(w http.ResponseWriter, r *http.Request) {
+		switch {
+		case r.Method != "POST":
+			state(w, map[string]any{"status": "completed", "body": "there"})
+		case sent.Add(1) == 1:
+			proxied(w)
+		default:
+			tell(w, map[string]any{"status": "accepted", "command": "cmd-1"})
+		}
+	}))
+	defer server.Close()
+	if out, err := drive.Execute(context.Background(), New(server.URL, ""), nil); err != nil || out != "there" {
+		t.Errorf("ended: %q, %v", out, err)
+	}
+}

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 
 const BUSY: &str = r#"{"error": {"code": "rate_limited", "retryable": true}}"#;
 const BEGUN: &str = r#"{"status": "accepted", "command": "cmd-1"}"#;
+const DONE: &str = r#"{"status": "completed"}"#;
 const THERE: &str = r#"{"status": "completed", "body": {"status": "completed", "body": "there"}}"#;
 
 /// Give one answer for each connection, and return the requests.
@@ -117,7 +118,7 @@ fn a_stream_goes_on_after_the_last_value_though_it_was_cut_before_the_next() {
 #[test]
 fn the_largest_integer_comes_and_goes() {
     let value = r#"{"status": "completed", "body": "18446744073709551615"}"#;
-    let (gateway, served) = serve(answers(&[value, BEGUN, BEGUN]));
+    let (gateway, served) = serve(answers(&[value, DONE, DONE]));
     let read = rcp::AlphaTicks.get.read(&gateway).unwrap();
     assert_eq!(read, u64::MAX);
     rcp::AlphaTicks.set.write(&gateway, &read, None).unwrap();
@@ -135,13 +136,30 @@ fn a_machine_that_does_not_answer_is_not_waited_for_for_minutes() {
     assert!(began.elapsed() < Duration::from_secs(60));
 }
 
+#[test]
+fn what_no_gateway_has_confirmed_is_not_in_force() {
+    let (gateway, served) = serve(answers(&[r#"{"message": "no healthy upstream"}"#, BEGUN]));
+    for _ in 0..2 {
+        let lost = rcp::AlphaTicks.set.write(&gateway, &5, None).err().unwrap();
+        assert_eq!(lost.code, "connection_lost");
+    }
+    served.join().unwrap();
+}
+
+#[test]
+fn a_key_cannot_add_headers() {
+    let gateway = rcp::Gateway::new("http://127.0.0.1:1", "").unwrap();
+    let refused = rcp::AlphaDrive.start(&gateway, "order-1\r\nAuthorization: Bearer other", &1.5).err().unwrap();
+    assert_eq!(refused.code, "bad_request");
+}
+
 const HELD: &str = r#"{"status": "completed", "body": {"lease": "lease-1"}}"#;
 
 #[test]
 fn a_connection_of_ones_own_is_told_where_it_leads() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
-    let served = spawn(move || one(&listener, &answer(BEGUN)));
+    let served = spawn(move || one(&listener, &answer(DONE)));
     let (told, asked) = channel();
     let gateway = rcp::Gateway::over("https://robots.example/site/", "key", move |target| {
         told.send((target.host.clone(), target.port)).unwrap();

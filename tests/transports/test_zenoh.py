@@ -146,6 +146,28 @@ async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
         await client.close()
 
 
+async def test_a_hub_has_no_more_links_than_a_gateway_can_bear() -> None:
+    from rcp_zenoh.session import configuration as zenoh_configuration
+    from rcp_zenoh.session import opened
+
+    port = _free_port()
+    async with _serving(_hub(port)) as hub, _serving(_robot(port)) as robot:
+        client = hub.client(OPERATOR)
+        await _appears(client, "/tenant/alpha/*/r7/**")
+        (facts,) = [one for one in robot.server.status.transports if "links" in one]
+        config = zenoh_configuration("client", connect=[f"tcp/127.0.0.1:{port}"])
+        async with opened(config, patient=False) as peer:
+            names = (*(f"evil/{number}" for number in range(300)), "other/last")
+            say = peer.liveliness().declare_token
+            tokens = await asyncio.to_thread(lambda: [say(f"rcp/alpha/r7/link/{n}") for n in names])
+            await _comes(lambda: "other" in [one["hub"] for one in facts["links"]], "the last one")
+            assert {one["hub"]: one["links"] for one in facts["links"]}["evil"] == 256
+            del tokens
+        read = await client.request("read", path="/tenant/alpha/sensor/r7/pose")
+        assert read["status"] == "completed", read
+        await client.close()
+
+
 async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
     port = _free_port()
     async with _serving(_hub(port, "nobody-knows-this-key")) as hub, _serving(_robot(port)):

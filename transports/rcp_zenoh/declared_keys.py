@@ -11,6 +11,8 @@ import zenoh
 
 __all__ = ["DeclaredKeys"]
 
+_MOST = 32_768
+
 
 class DeclaredKeys:
     """Declares keys when they are first used, and keeps them as long as the session."""
@@ -18,6 +20,10 @@ class DeclaredKeys:
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
         self._keys: dict[str, zenoh.KeyExpr] = {}
+
+    def has_room(self, key: str) -> bool:
+        """Return whether a key can be declared, or is already."""
+        return key in self._keys or len(self._keys) < _MOST
 
     def of(self, key: str) -> zenoh.KeyExpr:
         """Return a key, declared."""

@@ -8,6 +8,7 @@ from contextlib import asynccontextmanager, suppress
 from functools import partial
 from typing import Any
 
+import structlog
 import zenoh
 
 from rcp_gateway.client_api import ClientApi
@@ -22,6 +23,11 @@ from rcp_zenoh.statistics import Statistics
 
 __all__ = ["joined"]
 
+log = structlog.get_logger("rcp.zenoh")
+_OF_ONE, _MOST = (
+    256,
+    1024,
+)  # links of one hub, and of all: each is a session that may yet say who it is
 _REVOCATIONS: ServiceKey[Callable[[bytes], None]] = ServiceKey("hubs.revocations")
 """As of the feature `hubs`: takes the list of revoked hubs."""
 
@@ -52,6 +58,9 @@ class _Links:
         elif (hub, link) not in self._links and not self._client_api.closing:
             config = self._config
             keys = LinkKeys.of(config.tenant, config.gateway, hub, link)
+            if not (self._has_room(hub) and self._declared.has_room(keys.down)):
+                log.warning("zenoh_link_refused", hub=hub, links=len(self._links))
+                return
             self._links[hub, link] = HubLink(
                 self._client_api,
                 self._session,
@@ -62,6 +71,10 @@ class _Links:
                 self._statistics.of(hub),
                 partial(self._links.pop, (hub, link), None),
             )
+
+    def _has_room(self, hub: str) -> bool:
+        own = sum(other == hub for other, _ in self._links)
+        return own < _OF_ONE and len(self._links) < _MOST
 
     def message(self, sample: zenoh.Sample) -> None:
         """Pass a message to its link; without a token it is nobody's."""

@@ -1,4 +1,10 @@
 const KEPT = 16; // round trips: about half a minute of pings
+const SET = 250; // ms by which the clocks of this machine differ otherwise than before: one was set, or stood in its sleep
+
+/** This machine's time in ms since the epoch, which nobody sets while the page or program runs. */
+export function steady(): number {
+  return performance.timeOrigin + performance.now();
+}
 
 /**
  * The gateway's clock, seen from here.
@@ -6,21 +12,30 @@ const KEPT = 16; // round trips: about half a minute of pings
  * The round trip that took least time bounds the offset best, as the delay can have been on one way only.
  */
 export class Clock {
-  /** Seconds to add to this machine's time to have the gateway's. */
-  offset = 0;
   /** Seconds of the last round trip; undefined before the first. */
   latency: number | undefined;
   #trips: { took: number; offset: number }[] = [];
+  #apart = 0;
+  /** Seconds to add to `steady` to have the gateway's time. */
+  #ahead = 0;
 
-  /** Take a round trip: `sent` and `came` in ms of this machine, `told` by the gateway in between. */
+  /** Seconds to add to this machine's time to have the gateway's. */
+  get offset(): number {
+    return (this.now() - Date.now()) / 1000;
+  }
+
+  /** Take a round trip: `sent` and `came` by `steady`, `told` by the gateway in between. */
   measure(sent: number, came: number, told: string): void {
+    const apart = Date.now() - steady();
+    if (Math.abs(apart - this.#apart) > SET) this.#trips = []; // earlier ones may be of before a sleep
+    this.#apart = apart;
     const took = (came - sent) / 1000;
     const offset = (Date.parse(told) - (sent + came) / 2) / 1000;
     if (!Number.isFinite(offset)) return;
     this.latency = took;
     this.#trips.push({ took, offset });
     if (this.#trips.length > KEPT) this.#trips.shift();
-    this.offset = this.#trips.reduce((best, trip) => (trip.took <= best.took ? trip : best)).offset;
+    this.#ahead = this.#trips.reduce((best, trip) => (trip.took <= best.took ? trip : best)).offset;
   }
 
   /** Forget what was measured: another machine may answer now. */
@@ -31,7 +46,7 @@ export class Clock {
 
   /** The gateway's time in ms since the epoch. */
   now(): number {
-    return Date.now() + this.offset * 1000;
+    return steady() + this.#ahead * 1000;
   }
 
   /** Seconds since a timestamp of the gateway, never below 0. */

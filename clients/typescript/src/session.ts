@@ -1,5 +1,5 @@
 import { Addresses } from "./addresses.ts";
-import { Clock, Moment } from "./clock.ts";
+import { Clock, Moment, steady } from "./clock.ts";
 import type { Command } from "./command.ts";
 import { ConnectionLost, RcpError, repeatable, unanswered } from "./errors.ts";
 import { Backoff, Link, type Incoming } from "./link.ts";
@@ -221,7 +221,7 @@ export class Session {
       body["resume_token"] = this.hello.resume_token;
       body["resume_from"] = this.#seen();
     }
-    const sent = Date.now();
+    const sent = steady();
     const reply = await new Promise<Reply>((resolve) => {
       const id = this.newId("hello");
       const request: Waiting["request"] = { type: "hello", id, body };
@@ -230,7 +230,7 @@ export class Session {
     });
     if (link !== this.#link) return;
     if (reply.error) return this.#refused(link, new RcpError(reply.error), resuming);
-    if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
+    if (reply.timestamp) this.clock.measure(sent, steady(), reply.timestamp);
     clearTimeout(this.#opening);
     this.hello = reply.body as Hello;
     this.problem = undefined;
@@ -333,7 +333,7 @@ export class Session {
     const link = this.#link;
     if (link === undefined || this.state !== "open") return;
     if (this.#pinged && Math.min(this.#pinged.passed, this.#heard.passed) > SILENCE) return link.close("the gateway does not answer any more");
-    const sent = Date.now();
+    const sent = steady();
     if (this.#pinged !== undefined) this.onchange?.();
     this.#pinged ??= new Moment();
     const id = this.newId("ping");
@@ -342,7 +342,7 @@ export class Session {
       request,
       take: (reply) => {
         this.#pinged = undefined;
-        if (reply.timestamp) this.clock.measure(sent, Date.now(), reply.timestamp);
+        if (reply.timestamp) this.clock.measure(sent, steady(), reply.timestamp);
         this.#backoff.reset(); // it holds: one that is cut as soon as it stands is not tried ever faster
         this.onchange?.();
         return true;

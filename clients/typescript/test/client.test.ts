@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { afterEach, test } from "node:test";
 
+import { Clock } from "../src/clock.ts";
 import { Client, ConnectionLost, Lease, RcpError, type Step, type Update } from "../src/index.ts";
 import { msgpack } from "../src/msgpack.ts";
 
@@ -36,6 +37,35 @@ async function refusal(doing: Promise<unknown>): Promise<RcpError> {
   assert.ok(error instanceof RcpError, `not refused: ${error}`);
   return error;
 }
+
+test("the gateway's time stays known while this machine's clock is set", () => {
+  const clock = new Clock();
+  const sent = performance.timeOrigin + performance.now();
+  const told = new Date(sent + 5_001).toISOString(); // its clock is 5 s ahead
+  clock.measure(sent, sent + 2, told);
+  const wall = Date.now;
+  try {
+    Date.now = () => wall() - 3_600_000;
+    const now = performance.timeOrigin + performance.now();
+    assert.ok(Math.abs(clock.now() - now - 5_000) < 500, "commands are of now, and not of an hour ago");
+  } finally {
+    Date.now = wall;
+  }
+});
+
+test("what was measured before this machine slept is forgotten", () => {
+  const clock = new Clock();
+  const sent = performance.timeOrigin + performance.now();
+  clock.measure(sent, sent + 2, new Date(sent + 1).toISOString());
+  const wall = Date.now;
+  try {
+    Date.now = () => wall() + 60_000; // the other clock stood
+    clock.measure(sent, sent + 10, new Date(sent + 60_005).toISOString());
+    assert.equal(Math.round((clock.now() - performance.timeOrigin - performance.now()) / 1000), 60);
+  } finally {
+    Date.now = wall;
+  }
+});
 
 test("hello says who and where, and pings measure the way and the clock", async () => {
   const client = await connected();

@@ -161,3 +161,25 @@ def test_a_configuration_without_files_is_refused(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match="there is no recording"):
         check(ReplayConfig(tuple(files)))
+
+
+async def test_a_damaged_part_is_told_and_what_follows_it_is_played(tmp_path: Path) -> None:
+    file = written(tmp_path, 300)
+    data = bytearray(file.read_bytes())
+    middle = data.index(b"\x28\xb5\x2f\xfd", len(data) // 4)  # the second of three chunks
+    data[middle : middle + 100] = bytes(100)
+    file.write_bytes(data)
+    async with playing(file, paused=True) as client:
+        state = "/tenant/then/sensor/replay"
+        id_ = await client.subscribe(state, initial=False)
+        await control(client, speed=1000.0, paused=False)
+
+        async def is_at(wanted: str) -> None:
+            async with asyncio.timeout(BOUND):
+                while (await client.update(id_))["body"]["state"] != wanted:
+                    pass
+
+        await is_at("playing")
+        await is_at("paused")
+        await control(client, seek=290.0, paused=False, speed=1000.0)
+        await is_at("ended")

@@ -6,15 +6,21 @@ import asyncio
 import json
 import random
 import struct
+from collections.abc import Coroutine
 from contextlib import suppress
+from typing import Any
 
 import pytest
+from websockets.asyncio.client import connect
+from websockets.typing import Subprotocol
 
 import rcp_asgi.socket
 from plugins.foxglove.rig import OPERATOR, Site, site
 from plugins.foxglove.viewer import BOUND, Viewer, viewing
 from rcp_foxglove import requests
 from rcp_gateway.testing import eventually
+from rcp_kernel.model import Resource
+from rcp_kernel.sessions.outbox import Outbox
 
 pytestmark = pytest.mark.anyio
 WRONG: dict[str, str | bytes] = {
@@ -99,6 +105,46 @@ async def test_ten_megabytes_that_are_published_hold_nobody_up(
     await viewer.publish(3, b"[" + b"1," * 5_000_000 + b"1]")
     await viewer.until(lambda: "publish:/cmd_vel" in viewer.statuses)
     assert not gateway.robot.writes
+
+
+async def test_what_a_client_asks_for_and_does_not_read_does_not_pile_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked, most = asyncio.Event(), 0
+    begin, put = requests.Requests.begin, Outbox.put
+
+    def count(self: Outbox, data: bytes) -> None:
+        nonlocal most
+        put(self, data)
+        most = max(most, self.waiting)
+
+    def note(self: requests.Requests, work: Coroutine[Any, Any, None]) -> None:
+        async def noted() -> None:
+            await work
+            asked.set()
+
+        begin(self, noted())
+
+    async with site(more="[limits]\nqueue_bytes = 1048576\n") as made:
+        many = [f"param/many/p{number}" for number in range(40)]
+        made.robot.add(*(Resource(name=n, description="A text.", value=str) for n in many))
+        for name in many:
+            made.robot.measure(name, "a" * 200_000)
+        monkeypatch.setattr(Outbox, "put", count)
+        async with connect(
+            made.url.replace("http", "ws", 1),
+            subprotocols=[Subprotocol("foxglove.sdk.v1")],
+            additional_headers={"Authorization": f"Bearer {OPERATOR}"},
+            proxy=None,
+            max_queue=1,
+        ) as socket:
+            await socket.recv()
+            monkeypatch.setattr(requests.Requests, "begin", note)
+            names = [f"/{name}" for name in many] * 5
+            await socket.send(json.dumps({"op": "getParameters", "parameterNames": names}))
+            async with asyncio.timeout(BOUND):
+                await asked.wait()
+    assert 200_000 < most < 2 * 1_048_576
 
 
 async def test_garbage_of_every_kind_closes_nothing(gateway: Site, viewer: Viewer) -> None:

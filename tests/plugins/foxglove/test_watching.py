@@ -15,6 +15,9 @@ from websockets.exceptions import InvalidStatus
 
 from plugins.foxglove.rig import ADMIN, OPERATOR, WATCHER, Picture, Serialised, Site, site
 from plugins.foxglove.viewer import Viewer, viewing
+from rcp_foxglove.config import FoxgloveConfig
+from rcp_foxglove.endpoint import open_foxglove
+from rcp_kernel.errors import PluginError
 from rcp_kernel.model import Resource
 from rcp_kernel.types import Point, PoseStamped, quantity
 from rcp_kernel.values import Encoding
@@ -218,6 +221,19 @@ async def test_the_gateway_serves_at_the_root_of_a_port_of_its_own() -> None:
             async with viewing(url + path, OPERATOR) as viewer:
                 await viewer.subscribe("/sensor/level")
                 assert json.loads((await viewer.message())[1]) == 1.25
+
+
+async def test_a_port_that_another_one_has_leaves_nothing_at_the_listener() -> None:
+    async with site(own_port=0) as made:
+        client_api = made.server.client_api
+        with pytest.raises(PluginError):
+            async with open_foxglove(FoxgloveConfig(path="/second", port=0), client_api):
+                pass
+        async with (
+            open_foxglove(FoxgloveConfig(path="/second"), client_api),
+            viewing(made.base + "/second", OPERATOR) as viewer,
+        ):
+            await viewer.channel("/sensor/level")
 
 
 async def test_the_time_is_sent_where_it_is_configured() -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from kernel.world import CONFIG, kept_in, world_of
+from kernel.world import BOUND, CONFIG, kept_in, world_of
 from plugins.plans.planned import LIMIT, begun, code, echo, go, run, send, states, step
+from rcp_gateway.testing import eventually
 from rcp_kernel.model import Resource
+from rcp_kernel.spi import Progress
 
 
 async def test_steps_follow_each_other_and_later_ones_use_results_of_earlier_ones() -> None:
@@ -222,6 +226,45 @@ async def test_cancel_stops_a_step_whose_first_reply_waits_for_its_record(tmp_pa
         await client.ask(type="cancel", path="/system/plans")
         assert (await client.final(id_))["status"] == "cancelled"
         assert world.robot.stopped.qsize() == 1
+
+
+async def test_a_long_step_whose_turn_comes_after_its_plan_was_cancelled_does_not_go_on() -> None:
+    async with world_of() as world:
+        client, admin = world.client(), world.client("admin-admin-admin")
+        spoken, turns = list[str](), world.server.client_api.turns
+        owner = client.connection.session.principal.identity
+
+        async def speak(value: Any, progress: Progress) -> Any:
+            spoken.append(value)
+            await asyncio.Event().wait()
+
+        def others(busy: list[str]) -> Generator[None]:
+            while busy:
+                yield
+
+        async def has_gone() -> bool:
+            reply = await admin.ask(type="read", path="/system/commands")
+            return "completed" in [one["status"] for one in reply["body"]]
+
+        world.robot.behaviours["service/echo"] = speak
+        id_ = send(client, go(2.0), echo("a" * 60_000))
+        await begun(world)
+        before, meanwhile = ["busy"], ["busy"]
+        turns.run(owner, others(before))
+        world.robot.release.set()
+        await eventually(has_gone, "the first step has ended")
+        await has_gone()  # and its plan waits for its turn to go on
+        turns.run(owner, others(meanwhile))  # work of the same person, behind which the step waits
+        before.clear()
+        await client.until(lambda m: m.get("id") == id_ and m.get("body", {}).get("step") == "2")
+        cancelled = client.send(type="cancel", path="/system/plans")
+        await client.final(cancelled)
+        meanwhile.clear()
+        reply = await client.final(id_)
+        assert reply["status"] == "cancelled", reply
+        await asyncio.wait_for(turns.finish(owner, others([])), BOUND)
+        assert not spoken
+        assert not world.server.gateway.journal.running
 
 
 async def test_a_step_whose_condition_does_not_hold_is_skipped() -> None:

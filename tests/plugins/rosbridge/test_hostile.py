@@ -77,6 +77,16 @@ BAD = [
 ]
 
 
+async def test_subscriptions_are_bounded_however_few_topics_they_are_to(client: Page) -> None:
+    for number in range(4097):
+        topic = f"/nothing{number % 5}"
+        await client.send(op="subscribe", topic=topic, id=f"{number}")
+    assert (await client.status("at most"))["id"] == "4096"
+    await client.send(op="unsubscribe", topic="/nothing0", id="0")
+    await client.send(op="subscribe", topic="/odom", id="room")
+    await client.message("/odom")
+
+
 @pytest.mark.parametrize(("sent", "told"), BAD)
 async def test_a_bad_operation_is_told_and_the_next_one_works(
     client: Page, sent: str, told: str

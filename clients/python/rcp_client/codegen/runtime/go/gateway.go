@@ -101,7 +101,18 @@ func decoded(response *http.Response) (reply, error) {
 	if found.Error != nil {
 		return found, found.Error
 	}
+	if found.Status == "" { // a proxy that has no gateway behind it speaks JSON too
+		return found, fmt.Errorf("HTTP %d: not an answer of a gateway", response.StatusCode)
+	}
 	return found, nil
+}
+
+// done is the answer to what ends with it.
+func done(found reply, err error) (reply, error) {
+	if err == nil && found.Status != "completed" {
+		err = fmt.Errorf("it is %s, and nothing has confirmed it", found.Status)
+	}
+	return found, err
 }
 
 func (g *Gateway) ask(ctx context.Context, method, path string, body any) (reply, error) {

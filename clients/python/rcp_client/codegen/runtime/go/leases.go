@@ -168,7 +168,7 @@ func (g *Gateway) giveBack(answer <-chan leaseAnswer) {
 }
 
 func (g *Gateway) lease(ctx context.Context, body map[string]any) (leaseState, error) {
-	found, err := g.once(ctx, newKey(), "POST", "/context/system/leases?wait=10", body)
+	found, err := done(g.once(ctx, newKey(), "POST", "/context/system/leases?wait=10", body))
 	if err != nil {
 		return leaseState{}, err
 	}

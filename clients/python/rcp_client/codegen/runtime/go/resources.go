@@ -16,7 +16,7 @@ type Readable[T any] struct{ path string }
 
 // Read returns the current value.
 func (r Readable[T]) Read(ctx context.Context, g *Gateway) (T, error) {
-	found, err := g.ask(ctx, "GET", "/context"+r.path, nil)
+	found, err := done(g.ask(ctx, "GET", "/context"+r.path, nil))
 	if err != nil {
 		var none T
 		return none, err
@@ -136,7 +136,7 @@ func (w Writable[T]) Write(ctx context.Context, g *Gateway, value T, validFor ti
 	if validFor > 0 {
 		path += "?valid_for=" + strconv.FormatFloat(validFor.Seconds(), 'g', -1, 64)
 	}
-	_, err := g.once(ctx, keyOf(ctx), "PUT", path, value)
+	_, err := done(g.once(ctx, keyOf(ctx), "PUT", path, value))
 	return err
 }
 

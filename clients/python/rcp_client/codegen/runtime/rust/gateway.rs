@@ -134,8 +134,20 @@ fn decoded(mut reply: Reply) -> Result<Json, Error> {
     reply.body.read_to_string(&mut text)?;
     let found = Json::parse(&text).map_err(|_| Error::local("connection_lost", "the answer was cut off".into()))?;
     match found.get("error") {
+        // A proxy that has no gateway behind it speaks JSON too.
+        Json::Null if found.get("status").as_text().is_empty() => {
+            Err(Error::local("connection_lost", format!("HTTP {}: not an answer of a gateway", reply.status)))
+        }
         Json::Null => Ok(found),
         error => Err(failure(error, found.get("command"))),
+    }
+}
+
+/// Take the answer to what ends with it.
+fn done(found: Json) -> Result<Json, Error> {
+    match found.get("status").as_text() {
+        "completed" => Ok(found),
+        status => Err(Error::local("connection_lost", format!("it is {}, and nothing has confirmed it", status))),
     }
 }
 

@@ -124,7 +124,7 @@ impl Gateway {
         let mut body: BTreeMap<String, Json> = asked.iter().map(|(name, value)| (name.to_string(), value.clone())).collect();
         body.insert("do".into(), Json::Text(what.into()));
         let reply = self.open("POST", "/context/system/leases?wait=10", Some(&Json::Map(body)), "", silence)?;
-        decoded(reply).map(|reply| reply.get("body").clone())
+        decoded(reply).and_then(done).map(|reply| reply.get("body").clone())
     }
 
     /// Refuse what would act under a lease that is lost or was given back.

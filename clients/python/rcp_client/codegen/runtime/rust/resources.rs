@@ -13,7 +13,7 @@ pub struct Update<T> {
 impl<T: Value> Readable<T> {
     /// Return the current value.
     pub fn read(&self, gateway: &Gateway) -> Result<T, Error> {
-        T::from_json(gateway.inquire("GET", &format!("/context{}", self.path), false)?.get("body"))
+        T::from_json(done(gateway.inquire("GET", &format!("/context{}", self.path), false)?)?.get("body"))
     }
 
     /// Call `heard` with each new value, at most `rate` a second, 0 for all, until it returns false. A stream that is
@@ -93,7 +93,7 @@ impl<T: Value> Writable<T> {
         }
         let stream = gateway.connect(ATTEMPT)?;
         gateway.check()?; // to connect may have taken longer than the lease lasted
-        decoded(gateway.exchange(stream, "PUT", &path, Some(&value.to_json()), "")?).map(|_| ())
+        decoded(gateway.exchange(stream, "PUT", &path, Some(&value.to_json()), "")?).and_then(done).map(|_| ())
     }
 }
 
