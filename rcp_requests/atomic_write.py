@@ -28,7 +28,7 @@ from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.deadman import REPLY_GRACE, Deadman
 from rcp_kernel.safety.safe_value import is_safe
-from rcp_kernel.sessions.command import LinkLost, is_unchanged
+from rcp_kernel.sessions.command import is_unchanged
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -435,11 +435,8 @@ def _attributed(error: BaseException, admitted: _Admitted) -> BaseException:
         if error.path is not None:
             error.details = {**(error.details or {}), "faults": [_fault(error)]}
         return error
-    if isinstance(error, (ConnectionError, TimeoutError)):
-        text = f"the link to the robot failed: {error or type(error).__name__}"
-        return LinkLost(text, origin=owner.name)
     if isinstance(error, Exception):
-        return attribute_error(error, owner.name, admitted.calls[0].entry.path)
+        return attribute_error(error, owner.name, admitted.calls[0].entry.path, sent=True)
     return error
 
 

@@ -18,6 +18,7 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.caller import asked
 from rcp_kernel.contract.fence import current, permit
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.internal_errors import LinkLost
 from rcp_kernel.errors import (
     AlreadyRunning,
     Cancelled,
@@ -34,7 +35,6 @@ from rcp_kernel.safety.loss import tell_loss
 from rcp_kernel.sessions.command import (
     Command,
     Continuation,
-    LinkLost,
     Record,
     has_begun,
     outcome_of,

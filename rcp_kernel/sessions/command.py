@@ -9,17 +9,15 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
-import structlog
 
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.identity import Grants
+from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.errors import (
-    AdapterUnavailable,
     Cancelled,
     DeviceRejected,
     EstopActive,
-    InternalError,
     RcpError,
     Refused,
 )
@@ -39,7 +37,6 @@ __all__ = [
     "CommandListener",
     "CommandTable",
     "Continuation",
-    "LinkLost",
     "Record",
     "Work",
     "command_id",
@@ -49,7 +46,6 @@ __all__ = [
     "status_of",
 ]
 
-log = structlog.get_logger("rcp.commands")
 _RANDOM = 1024  # bytes
 _numbers: list[str] = []
 """Random numbers for ids, each used once."""
@@ -301,14 +297,6 @@ CommandListener = Callable[[Command, Record], None]
 """Hears of a step of a command when it is in its history."""
 
 
-class LinkLost(AdapterUnavailable):
-    """The link failed while a command or write was with the robot, which may have begun to act."""
-
-    status = "failed"
-    retryable = False
-    default_remedy = "Check the state of the robot before you send it again."
-
-
 def command_id() -> str:
     """Return the id of another command, which nobody can guess.
 
@@ -329,17 +317,8 @@ def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
         return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
     if error is None:
         return task.result()
-    if isinstance(error, RcpError):
-        return error
-    if isinstance(error, (ConnectionError, TimeoutError)):
-        return LinkLost(f"the link to the robot failed: {error or type(error).__name__}")
-    trace = command.trace.id
-    log.error(
-        "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
-    )
-    failure = InternalError("the backend failed; see the gateway's log")
-    failure.trace_id = trace
-    return failure
+    origin = None if command.entry is None else command.entry.owner.name
+    return attribute_error(error, origin, command.path, sent=True, trace=command.trace)
 
 
 def has_begun(command: Command) -> bool:
