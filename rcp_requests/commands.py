@@ -150,7 +150,7 @@ class Commands:
         if not (entry.parallel or _begins_at_once(entry)):
             self._active[entry.path] = command
         if entry.moves:
-            entry.unit.lost = None
+            entry.unit.loss.command = None
         command.began = entry.unit.stops
         work = self._carry_out(command, call, confirm)
         command.task = self._loop.create_task(work, name=f"command {command.id}")

@@ -11,9 +11,9 @@ from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.spi import StopPlan
-from rcp_kernel.tree.entry import Entry, Listener, Owner, RobotUnit
+from rcp_kernel.tree.entry import Entry, Owner, RobotUnit
 from rcp_kernel.tree.registry import Registry
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Listener, Sample
 
 __all__ = ["RobotConditions", "Robots", "SupervisedBackend"]
 

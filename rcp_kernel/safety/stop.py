@@ -236,7 +236,7 @@ class StopController:
             self._unsent(stop, error)
             raise
         stop.halted = True
-        stop.unit.note_halted(number)
+        stop.unit.loss.note_halt(number)
         self._judge(stop)
         if stop.confirmed is None and not stop.released:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
@@ -278,7 +278,7 @@ class StopController:
             return
         for stop, number in zip(stops, numbers, strict=True):
             stop.halted = True
-            stop.unit.note_halted(number)
+            stop.unit.loss.note_halt(number)
             self._judge(stop)
 
     def _command(self, stop: Stop) -> None:

@@ -14,6 +14,7 @@ from rcp_kernel.access.visibility import names_in
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.identity import Grants
 from rcp_kernel.contract.internal_errors import attribute_error
+from rcp_kernel.contract.paths import is_system
 from rcp_kernel.errors import (
     Cancelled,
     DeviceRejected,
@@ -24,7 +25,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.sessions.long_value import plain
 from rcp_kernel.sessions.substitutes import unrecorded
 from rcp_kernel.spi import Progress
-from rcp_kernel.tree.entry import Entry, is_system
+from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import ANY, Encoding
 from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Request, Status
 from rcp_protocol.trace import Trace, traced
