@@ -17,7 +17,7 @@ import structlog
 
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
-from rcp_kernel.features import Call, FeatureHost, Scope, Slot
+from rcp_kernel.features import Call, FeatureHost, Guard, Scope, Slot
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, RobotUnit
@@ -35,12 +35,10 @@ _TABLE = "held"
 _NEEDED = 100_000  # cached paths
 
 
-class Leases:
+class Leases(Guard):
     """All leases of the gateway: the guard that checks each write and execute against them."""
 
     slot = Slot.LEASE
-    active = True
-    """A lease may be acquired at any time."""
 
     def __init__(
         self, config: LeasesConfig, host: FeatureHost, *, changed: Callable[[], None]
