@@ -141,9 +141,14 @@ class ClientApi:
         return self._parts.discovery.generation(session.rights)
 
     @property
-    def secure(self) -> bool:
+    def requires_authentication(self) -> bool:
         """Whether anonymous clients may do nothing: they have no role, or one that allows nothing."""
         return self._parts.settings.config.closed
+
+    @property
+    def secure(self) -> bool:
+        """The former name of `requires_authentication`."""
+        return self.requires_authentication
 
     @property
     def serves(self) -> bool:

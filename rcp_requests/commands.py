@@ -15,8 +15,8 @@ from typing import Any
 
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.caller import asked
-from rcp_kernel.contract.fence import current, permit
+from rcp_kernel.contract.caller import request_context
+from rcp_kernel.contract.fence import current_permit, permit
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.internal_errors import LinkLost
 from rcp_kernel.errors import (
@@ -224,7 +224,7 @@ class Commands:
         principal = Principal(command.principal, kept.grants, command.proof)
         request = Request(type="execute", path=entry.path, idempotency_key=kept.idempotency_key)
         value = entry.input_type.convert(command.input)
-        asked.set((principal, request, slot, command.id))
+        request_context.set((principal, request, slot, command.id))
         permit(entry.unit, entry.unit.stops)
         command.sent = True
         result = await backend.execute(entry.name, value, partial(self._progress, command, entry))
@@ -248,13 +248,13 @@ class Commands:
             )
         backend = confirm(call)
         assert command.deadline is not None
-        asked.set((call.session.principal, call.request, command.deadline, command.id))
+        request_context.set((call.session.principal, call.request, command.deadline, command.id))
         progress = partial(self._progress, command, entry)
         command.sent = True
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
-            current.set((entry.unit, command.began))
+            current_permit.set((entry.unit, command.began))
             result = await backend.execute(entry.name, call.value, progress)
         try:
             if work is None and entry.output_type.grows and is_long(result):
@@ -267,8 +267,8 @@ class Commands:
         if command.continuation is None:
             # Not by the task's callback, a turn of the loop later: a result that comes at once is
             # sent together with `accepted`.
-            current.set(None)  # what follows from the result is not the robot's any more
-            asked.set(None)
+            current_permit.set(None)  # what follows from the result is not the robot's any more
+            request_context.set(None)
             command.task = None
             if command.finished is None:
                 self._finish(command, result)

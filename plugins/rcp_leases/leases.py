@@ -455,7 +455,7 @@ class Leases(Guard):
 
     def _compare(self, lease: Lease, unit: RobotUnit) -> None:
         held, own = lease.gateways.get(unit.name), unit.own_leases
-        if held is None or own is None or own.told < held.told or lease.id in self._asked:
+        if held is None or own is None or own.reported < held.reported or lease.id in self._asked:
             return
         there = next((one for one in own.leases if one.id == held.id), None)
         if there is not None and there.holder == lease.holder:

@@ -113,9 +113,9 @@ class Robots:
         """
         self._registry.on_state.append(self._contained("follow_state", changed))
 
-    def follow_leases(self, told: Callable[[RobotUnit], None]) -> None:
+    def follow_leases(self, changed: Callable[[RobotUnit], None]) -> None:
         """Report when a robot's own gateway has announced who holds leases on it (`own_leases`)."""
-        self._registry.on_leases.append(self._contained("follow_leases", told))
+        self._registry.on_leases.append(self._contained("follow_leases", changed))
 
     def _contained(self, part: str, callback: Callable[P, None]) -> Callable[P, None]:
         """Keep errors of the feature from the caller: a backend, or an e-stop."""
