@@ -28,7 +28,6 @@ from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.deadman import REPLY_GRACE, Deadman
 from rcp_kernel.safety.safe_value import is_safe
-from rcp_kernel.sessions.command import is_unchanged
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
@@ -39,6 +38,7 @@ from rcp_protocol.structure import LONG
 from rcp_requests.admission import Admission, Resolver
 from rcp_requests.inflight import InFlight
 from rcp_requests.keyed_write import KeyedWrites
+from rcp_requests.outcomes import is_unchanged
 from rcp_requests.replies import ReplyGate
 from rcp_requests.request_events import RequestEvents
 

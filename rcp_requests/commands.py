@@ -24,28 +24,20 @@ from rcp_kernel.errors import (
     Cancelled,
     DeadlineExceeded,
     DeviceRejected,
-    DeviceTimeout,
     QueueFull,
     RcpError,
     Refused,
 )
 from rcp_kernel.features import Call
 from rcp_kernel.model import Kind
-from rcp_kernel.safety.loss import tell_loss
-from rcp_kernel.sessions.command import (
-    Command,
-    Continuation,
-    Record,
-    has_begun,
-    outcome_of,
-    status_of,
-)
+from rcp_kernel.sessions.command import Command, Continuation, Record
 from rcp_kernel.sessions.long_value import checked
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import is_long
-from rcp_kernel.wire import NO_BODY, Request, error_body
+from rcp_kernel.wire import NO_BODY, Request
 from rcp_requests.journal import CommandJournal
+from rcp_requests.outcomes import failed_step, outcome_of
 from rcp_scheduling.timers import Deadlines, moment_of
 from rcp_scheduling.turns import Turns
 
@@ -386,7 +378,7 @@ class Commands:
             self._deadlines.clear(command.deadline, command)
             command.deadline = None
         if isinstance(outcome, RcpError):
-            self._journal.write(command, _failed(command, outcome, self._now()))
+            self._journal.write(command, failed_step(command, outcome, self._now()))
         else:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."
@@ -432,28 +424,3 @@ def _mismatch(entry: Entry, error: RcpError) -> RcpError:
         f"the robot finished, but its result does not match its type: {error.message}",
         remedy="Correct the backend or the type that it declares.",
     )
-
-
-def _failed(command: Command, error: RcpError, moment: int) -> Record:
-    """Return the final step of a command that ends with an error."""
-    entry = command.entry
-    error.path = error.path or command.path
-    if entry is not None:
-        error.origin = error.origin or entry.owner.name
-        if command.task is not None:
-            tell_loss(entry, error, command.began)
-    body = NO_BODY if command.work is None else command.work.report(over=True)
-    facts = error_body(error)
-    if _has_effect(command, error):
-        facts["retryable"] = False  # a repeat would act on top of what is done already
-    status = status_of(command, error)
-    return Record(status, moment, body, message=error.message, error=facts)
-
-
-def _has_effect(command: Command, error: RcpError) -> bool:
-    """Return whether the robot has acted on a command that failed, or may have."""
-    entry = command.entry
-    if entry is not None and entry.is_hold:  # a repeat has the same effect
-        return False
-    unknown = command.sent and isinstance(error, (DeadlineExceeded, DeviceTimeout))
-    return has_begun(command) or (unknown and entry is not None and entry.moves)

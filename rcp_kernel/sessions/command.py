@@ -13,15 +13,8 @@ import msgspec
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.identity import Grants
-from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.contract.paths import is_system
-from rcp_kernel.errors import (
-    Cancelled,
-    DeviceRejected,
-    EstopActive,
-    RcpError,
-    Refused,
-)
+from rcp_kernel.errors import Refused
 from rcp_kernel.sessions.long_value import plain
 from rcp_kernel.sessions.substitutes import unrecorded
 from rcp_kernel.spi import Progress
@@ -41,10 +34,6 @@ __all__ = [
     "Record",
     "Work",
     "command_id",
-    "has_begun",
-    "is_unchanged",
-    "outcome_of",
-    "status_of",
 ]
 
 _RANDOM = 1024  # bytes
@@ -307,45 +296,3 @@ def command_id() -> str:
         random = os.urandom(_RANDOM)
         _numbers.extend(random[place : place + 8].hex() for place in range(0, _RANDOM, 8))
     return "cmd-" + _numbers.pop()
-
-
-def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
-    """Return the outcome of a command's task: its result, or the error sent to the client."""
-    error = None if task.cancelled() else task.exception()
-    fenced = isinstance(error, EstopActive) and command.cancelling is not None
-    if task.cancelled() or fenced:  # what it did last was fenced off by the stop that ended it
-        reason = command.cancelling or "the backend cancelled it"
-        return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
-    if error is None:
-        return task.result()
-    origin = None if command.entry is None else command.entry.owner.name
-    return attribute_error(error, origin, command.path, sent=True, trace=command.trace)
-
-
-def has_begun(command: Command) -> bool:
-    """Return whether the robot is known to have acted on a command."""
-    return any(step.status == "in_progress" for step in command.history)
-
-
-def is_unchanged(error: BaseException) -> bool:
-    """Return whether an error means that the state of the robot is unchanged.
-
-    One that has the status `failed` is a refusal by its code only: its robot may have acted.
-    """
-    if isinstance(error, Refused):
-        return error.status != "failed"
-    return isinstance(error, DeviceRejected)
-
-
-def status_of(command: Command, error: RcpError) -> Status:
-    """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
-    if isinstance(error, Cancelled):
-        return "cancelled"
-    # What a robot's own gateway calls `failed` had begun there, regardless of what was reported here.
-    refused = is_unchanged(error) and vars(error).get("status") != "failed"
-    # A cancel that fails is no refusal: the robot may have begun, and may go on.
-    return (
-        "rejected"
-        if refused and not has_begun(command) and command.cancelling is None
-        else "failed"
-    )
