@@ -49,7 +49,7 @@ _CANCEL = value_type(_Cancel | None)
 
 
 class ExecuteHandler:
-    """The handlers of both requests."""
+    """The handler of `execute` and `cancel`."""
 
     def __init__(
         self,
@@ -132,8 +132,10 @@ class ExecuteHandler:
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         action = self._actions.get(entry.path)
-        keyed = request.idempotency_key is not None
-        if keyed and (known := self._known(session, request, entry)) is not None:
+        if (
+            request.idempotency_key is not None
+            and (known := self._known(session, request, entry)) is not None
+        ):
             self._journal.follow(known, session, request, answer, started)
             return None
         if prepared is not None:
@@ -161,6 +163,20 @@ class ExecuteHandler:
         self._admission.admit_late(call)
         if request.dry_run:
             return self._would(call, prepared)
+        self._begin(call, answer, started, action, prepared)
+        return None
+
+    def _begin(
+        self,
+        call: Call,
+        answer: Answer,
+        started: float,
+        action: ActionHandler | None,
+        prepared: PreparedRun | None,
+    ) -> None:
+        """Make a command of an admitted call, answer the request with its steps, and start it."""
+        session, request, entry = call.session, call.request, call.entry
+        keyed = request.idempotency_key is not None
         if action is None or prepared is None:
             command = _command(call)
         else:
@@ -178,7 +194,6 @@ class ExecuteHandler:
         self._commands.start(command, call, self._admission.confirm)
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
-        return None
 
     def _goal(self, session: Session, request: Request, entry: Entry) -> Any:
         """Return the input in a frame that the robot takes; None: it is so already."""

@@ -14,8 +14,8 @@ from rcp_kernel.tree.samples import Listener
 from rcp_scheduling.timers import Timers
 from rcp_streams.deadline_monitor import DeadlineMonitor
 from rcp_streams.demand import AbsentListener, DemandTracker, absent_listener
-from rcp_streams.feeds import new_path_subscription
 from rcp_streams.path_subscription import PathSubscription
+from rcp_streams.selection import new_path_subscription
 from rcp_streams.shared_fanout import path_subscriptions_of
 from rcp_streams.subscription import Subscription
 
