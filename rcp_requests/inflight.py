@@ -28,7 +28,7 @@ Make = Callable[[Any], Reply]
 
 
 class InFlight:
-    """Reserves a slot for each request, and answers it when its work is done."""
+    """Reserves a place for each request, and answers it when its work is done."""
 
     def __init__(
         self,

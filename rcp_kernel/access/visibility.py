@@ -70,7 +70,7 @@ class Visibility:
         self._named: dict[str, set[str]] = {}
         """The paths of resources by their names without tenant, or without tenant and robot."""
         self._robots: dict[str, set[str]] = {}
-        """The paths of robots' resources by the names and keys of their stop groups."""
+        """The paths of robots' resources by the names and keys of their robot units."""
         registry.on_added.append(self._add)
         registry.on_removed.append(self._remove)
 
@@ -170,7 +170,7 @@ class Visibility:
         return bool(mask & operation)
 
     def sees_robot(self, rights: Rights, name: str, tenant: str | None) -> bool:
-        """Return whether any part of a robot is visible, by the name or key of its stop group.
+        """Return whether any part of a robot is visible, by the name or key of its robot unit.
 
         A robot that does not exist could be any hidden one: it is visible only to those who see the
         whole tenant.

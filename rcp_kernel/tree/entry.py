@@ -80,11 +80,11 @@ class Owner(Protocol):
 
     @property
     def units(self) -> list[RobotUnit]:
-        """The stop groups of the backend."""
+        """The robot units of the backend."""
         ...
 
     def unit(self, robot: str | None) -> RobotUnit:
-        """Return a stop group: one of its robots, or all of them."""
+        """Return a robot unit: one of its robots, or all of them."""
         ...
 
     @property
@@ -171,7 +171,7 @@ class Entry:
         self.resource = resource
         self.owner = owner
         self.unit = owner.unit(resource.robot)
-        """The stop group it belongs to."""
+        """The robot unit it belongs to."""
         self.tenant = tenant
         self.robot = robot
         self.kind: Kind = kind_of(resource.name)

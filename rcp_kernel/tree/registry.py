@@ -93,7 +93,7 @@ class Registry:
         for callback in self.on_state:
             callback()
 
-    def leases_told(self, unit: RobotUnit) -> None:
+    def leases_changed(self, unit: RobotUnit) -> None:
         """Announce that a robot's own gateway has reported the leases on it."""
         for callback in self.on_leases:
             callback(unit)
