@@ -14,6 +14,7 @@ __all__ = ["ActingSession", "Event", "EventBus", "EventHandler", "EventKind", "E
 
 
 EventKind = Literal[
+    "configuration",
     "deadman",
     "denial",
     "estop",
