@@ -8,13 +8,7 @@ HTTP. It only translates; all decisions are the kernel's.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import (
-    Callable,
-    Generator,
-    Iterable,
-    Iterator,
-    Mapping,
-)
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -31,13 +25,7 @@ from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.peer import UNKNOWN, Peer, Serial
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.errors import (
-    AdapterUnavailable,
-    Forbidden,
-    RateLimited,
-    RcpError,
-    Unauthenticated,
-)
+from rcp_kernel.errors import AdapterUnavailable, Forbidden, RateLimited, RcpError, Unauthenticated
 from rcp_kernel.features.services import FeatureServices, ServiceKey
 from rcp_kernel.model import NativeType, Pattern
 from rcp_kernel.sessions.command import Command, Record
@@ -141,9 +129,14 @@ class ClientApi:
         return self._parts.discovery.generation(session.rights)
 
     @property
-    def secure(self) -> bool:
+    def requires_authentication(self) -> bool:
         """Whether anonymous clients may do nothing: they have no role, or one that allows nothing."""
         return self._parts.settings.config.closed
+
+    @property
+    def secure(self) -> bool:
+        """The former name of `requires_authentication`."""
+        return self.requires_authentication
 
     @property
     def serves(self) -> bool:

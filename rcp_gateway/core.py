@@ -111,7 +111,7 @@ class Core:
             self.loop,
             sending=self.events.stopping,
             at_rest=self.events.rested,
-            untaken=self.partners.halt,
+            escalate=self.partners.halt,
             note=self.safety_events.dead_man,
         )
         self.commands = Commands(

@@ -13,7 +13,7 @@ from rcp_gateway.recorder import Listener, Recorder
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
-from rcp_kernel.errors import ConfigError
+from rcp_kernel.errors import ConfigError, PluginError
 from rcp_kernel.features import (
     Accounting,
     Action,
@@ -279,4 +279,21 @@ def make(
 ) -> Features:
     """Create each feature with its own host."""
     found = [(one, FeatureHealth(one.kind.name)) for one in features]
-    return Features([(health, one.kind.make(one.table, host(health))) for one, health in found])
+    made = [(health, one.kind.make(one.table, host(health))) for one, health in found]
+    for health, feature in made:
+        _check_bases(health.name, feature)
+    return Features(made)
+
+
+def _check_bases(name: str, feature: Feature) -> None:
+    """Check that a guard or observer has what the kernel reads of each, as those that derive do.
+
+    :raises PluginError: it was written before the attribute existed, and does not derive from its base.
+    """
+    parts = ((feature.guard, Guard, "idle"), (feature.observer, CommandObserver, "writes_only"))
+    for part, base, attribute in parts:
+        if part is not None and not hasattr(part, attribute):
+            raise PluginError(
+                f"{type(part).__name__} of the feature '{name}' has no `{attribute}`; "
+                f"derive it from `rcp_kernel.features.{base.__name__}`"
+            )

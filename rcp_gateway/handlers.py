@@ -21,6 +21,7 @@ from rcp_requests.long_bodies import LongBodies
 from rcp_requests.ping import PingHandler
 from rcp_requests.read import ReadHandler
 from rcp_requests.router import RequestRouter
+from rcp_requests.services import ServiceHandler
 from rcp_requests.subscribe import SubscribeHandler
 from rcp_requests.waiting import WaitingCommands
 from rcp_requests.write import WriteHandler
@@ -138,22 +139,25 @@ class Handlers:
 
     def _make_execute(self, estop: Estop) -> ExecuteHandler:
         core = self._core
+        services = ServiceHandler(
+            self._system.services,
+            estop,
+            inflight=core.inflight,
+            keyed=self._keyed,
+            replies=core.replies,
+            counts=core.counts,
+        )
         return ExecuteHandler(
             self._resolver,
             self.admission,
             core.commands,
             core.journal,
             core.access,
-            estop=estop,
-            services=self._system.services,
+            services=services,
             actions=self._make_actions(),
             dry_run=self._features.dry_run,
             exempt=self._exempt,
             keys=self._keys,
-            keyed=self._keyed,
-            inflight=core.inflight,
-            counts=core.counts,
-            replies=core.replies,
             partners=core.partners,
             deadman=core.deadman,
             frames=self._features.frames,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rcp_kernel.contract.events import Event, Hear
+from rcp_kernel.contract.events import Event, EventHandler
 from rcp_kernel.errors import QueueFull
 from rcp_kernel.features import Durability
 from rcp_kernel.features.health import FeatureHealth
@@ -31,7 +31,7 @@ class Listener:
 
     def __init__(
         self,
-        on_event: Hear | None,
+        on_event: EventHandler | None,
         on_command: CommandListener | None,
         health: FeatureHealth,
         *,
@@ -67,7 +67,7 @@ class Recorder(Listener):
 
     def __init__(
         self,
-        on_event: Hear | None,
+        on_event: EventHandler | None,
         on_command: CommandListener | None,
         health: FeatureHealth,
         durability: Durability,

@@ -13,7 +13,8 @@ from rcp_kernel.safety.loss import tell_cut_off
 from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.sessions.command import Command
-from rcp_kernel.tree.entry import BEFORE, Entry, Owner, RobotUnit
+from rcp_kernel.tree.entry import Entry, Owner, RobotUnit
+from rcp_kernel.tree.lost_command import BEFORE
 from rcp_requests.journal import CommandJournal
 
 __all__ = ["LossRecovery"]
@@ -45,7 +46,7 @@ class LossRecovery:
                 self._journal.interrupted.remove(command)
             self._cut_off += cut_off
             self.report_cut_off()
-            entry.unit.note_lost(entry.path, BEFORE)
+            entry.unit.loss.note(entry.path, BEFORE)
             self.settle(entry.unit)
 
     def report_cut_off(self) -> None:
@@ -64,7 +65,7 @@ class LossRecovery:
         if unit.latch is not None:
             if unit.latch.shown is None:  # otherwise its own gateway holds it, or has released it
                 self._stops.resume(unit)
-        elif unit.lost is not None and unit not in self._running:
+        elif unit.loss.command is not None and unit not in self._running:
             task = asyncio.create_task(self._recover(unit), name=f"recover {unit.name}")
             self._running[unit] = task
             task.add_done_callback(partial(self._ended, unit))
@@ -82,7 +83,9 @@ class LossRecovery:
     async def _recover(self, unit: RobotUnit) -> None:
         """Apply a robot's policy for a lost command, unless it has a new one."""
         wait = _FIRST_RETRY
-        while (lost := unit.lost) is not None and (backend := self._owner.backend) is not None:
+        while (lost := unit.loss.command) is not None and (
+            backend := self._owner.backend
+        ) is not None:
             if unit.latch is not None:  # the stop settles it
                 return
             try:
@@ -101,7 +104,7 @@ class LossRecovery:
                 await asyncio.sleep(wait)
                 wait = min(wait * 2, _LAST_RETRY)
             else:
-                if unit.lost is lost:  # otherwise another was lost meanwhile
-                    unit.lost = None
+                if unit.loss.command is lost:  # otherwise another was lost meanwhile
+                    unit.loss.command = None
                 log.warning("recovered", backend=unit.name, command=lost.path, done=done)
                 self._events.recovered(unit, lost.path, done)

@@ -17,13 +17,14 @@ from rcp_kernel.access.identities import Identities
 from rcp_kernel.access.tree_views import Hidden, TreeViews
 from rcp_kernel.access.visibility import Visibility, names_in
 from rcp_kernel.clock import iso, now
+from rcp_kernel.contract.paths import is_system
 from rcp_kernel.contract.version import gateway_version
 from rcp_kernel.features import StatusPart
 from rcp_kernel.model import tenant_of
 from rcp_kernel.sessions.outbound import Outbound
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.sessions.sessions import Sessions
-from rcp_kernel.tree.entry import RobotUnit, is_system
+from rcp_kernel.tree.entry import RobotUnit
 from rcp_kernel.tree.registry import Registry
 from rcp_requests.journal import CommandJournal
 from rcp_store.store import Store

@@ -102,7 +102,7 @@ class BackendSupervisor(BackendStatus):
     # -- Owner ---------------------------------------------------------------------------------
 
     def unit(self, robot: str | None) -> RobotUnit:
-        """Return a stop group: one of the backend's robots, or all of them."""
+        """Return a robot unit: one of the backend's robots, or all of them."""
         if robot is None:
             return self.whole
         unit = self._units.get(robot)
@@ -250,7 +250,7 @@ class BackendSupervisor(BackendStatus):
         """Record who holds leases on a robot, as its own gateway reports."""
         unit = self.unit(robot)
         unit.own_leases = leases
-        self._registry.leases_told(unit)
+        self._registry.leases_changed(unit)
 
     def refused(self, error: RcpError, *, count: int = 1) -> None:
         """Report that a peer was refused at the robots' side."""

@@ -189,7 +189,7 @@ class System(BaseBackend):
         return self
 
     def unit(self, robot: str | None) -> RobotUnit:
-        """Return the stop group of the gateway, which no e-stop holds."""
+        """Return the robot unit of the gateway, which no e-stop holds."""
         return self._unit
 
     @property

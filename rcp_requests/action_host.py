@@ -21,7 +21,7 @@ from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
 from rcp_requests.admission import Resolver
-from rcp_requests.atomic_write import check_group
+from rcp_requests.atomic_group import check_group
 from rcp_requests.commands import Commands
 from rcp_requests.journal import CommandJournal
 from rcp_requests.read import READ_OPTIONS

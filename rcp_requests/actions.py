@@ -31,7 +31,7 @@ class PreparedRun:
     run: ActionRun
     waiting: WaitingCommand
     units: list[RobotUnit]
-    """The stop groups of all paths it affects."""
+    """The robot units of all paths it affects."""
 
     def check_stops(self) -> None:
         """Refuse a request sent before an e-stop of a robot that it affects.

@@ -161,10 +161,8 @@ class Admission:
         if entry.barred and (unit.all_latches or unit.whole.retired is not None):
             check_motion(entry)
         if entry.tenant is not None:
-            for (
-                guard
-            ) in self.control:  # `_admit_all` inlined, as nearly every command is checked here
-                if not getattr(guard, "idle", False):
+            for guard in self.control:  # `_admit_all` inlined: nearly every command is checked here
+                if not guard.idle:
                     try:
                         guard.admit(call)
                     except Exception as error:
@@ -235,7 +233,7 @@ class Admission:
                     check_hold(entry, call.value)
             if entry.tenant is not None:
                 for guard in self.control:  # `_confirm_all` inlined
-                    if not getattr(guard, "idle", False):
+                    if not guard.idle:
                         try:
                             guard.confirm(call)
                         except Exception as error:
@@ -263,7 +261,7 @@ def _concerns_guards(call: Call) -> bool:
 
 def _admit_all(guards: Sequence[Guard], call: Call) -> None:
     for guard in guards:
-        if not getattr(guard, "idle", False):  # which few guards have
+        if not guard.idle:
             try:
                 guard.admit(call)
             except Exception as error:
@@ -272,7 +270,7 @@ def _admit_all(guards: Sequence[Guard], call: Call) -> None:
 
 def _confirm_all(guards: Sequence[Guard], call: Call) -> None:
     for guard in guards:
-        if not getattr(guard, "idle", False):
+        if not guard.idle:
             try:
                 guard.confirm(call)
             except Exception as error:

@@ -19,8 +19,6 @@ from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.errors import (
     BadRequest,
     EstopActive,
-    NotImplementedByRobot,
-    PayloadTooLarge,
     RcpError,
 )
 from rcp_kernel.features import Call
@@ -28,31 +26,25 @@ from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.deadman import REPLY_GRACE, Deadman
 from rcp_kernel.safety.safe_value import is_safe
-from rcp_kernel.sessions.command import LinkLost, is_unchanged
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
-from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, Request
-from rcp_protocol.structure import LONG
 from rcp_requests.admission import Admission, Resolver
+from rcp_requests.atomic_group import check_group, values_by_path
 from rcp_requests.inflight import InFlight
 from rcp_requests.keyed_write import KeyedWrites
+from rcp_requests.outcomes import is_unchanged
 from rcp_requests.replies import ReplyGate
 from rcp_requests.request_events import RequestEvents
 
-__all__ = ["MOST", "AtomicWriteHandler", "DryRun", "check_group"]
+__all__ = ["AtomicWriteHandler", "DryRun"]
 
 log = structlog.get_logger("rcp.requests")
 
 DryRun = Callable[[Call], Mapping[str, Any]]
 """Returns the features' part of the reply to a dry run."""
-
-MOST = 64
-"""Paths in one write: all are checked, and checked again, in one turn of the event loop."""
-_from_json = msgspec.json.Decoder(dict[str, Raw])
-_from_msgpack = msgspec.msgpack.Decoder(dict[str, Raw])
 
 
 class _Item(NamedTuple):
@@ -144,7 +136,7 @@ class AtomicWriteHandler:
     def stops(self, session: Session, request: Request) -> bool:
         """Return whether all values bring an actuator to rest, so that no rate limit may refuse."""
         try:
-            parts = _parts(request).items()
+            parts = values_by_path(request).items()
             items = (self._item(session, request, path, body) for path, body in parts)
             return all(is_safe(item.entry, item.value) for item in items)
         except RcpError:
@@ -157,7 +149,7 @@ class AtomicWriteHandler:
         """
         faults: list[RcpError] = []
         items: dict[str, _Item] = {}
-        parts = _parts(request)
+        parts = values_by_path(request)
         for path, body in parts.items():
             try:
                 item = self._item(session, request, path, body)
@@ -339,61 +331,6 @@ def _charge(session: Session, count: int, *, rests: bool) -> None:
             raise account.refusal(session.monotonic())
 
 
-def _parts(request: Request) -> dict[str, Raw]:
-    """Split the body into values that are still encoded.
-
-    :raises BadRequest: it does not map paths to values, or has none.
-    :raises PayloadTooLarge: there are too many, or they are too long.
-    """
-    body = bytes(request.body)
-    if len(body) > LONG:
-        raise PayloadTooLarge(
-            f"a write of several paths has at most {LONG} bytes; this one has {len(body)}",
-            remedy="Write long values each on its own, with `path`.",
-            details={"limit": LONG},
-        )
-    decode = _from_json if request.encoding is Encoding.JSON else _from_msgpack
-    try:
-        parts = decode.decode(body or b"{}")
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-        parts = {}
-    if not parts or not all(path.startswith("/") for path in parts):
-        raise BadRequest(
-            "`path` is missing, and the body does not map paths to values",
-            remedy="Send `path` with the path of a resource, or a body that maps each path to its "
-            "value.",
-        )
-    if len(parts) > MOST:
-        raise PayloadTooLarge(
-            f"a write has at most {MOST} paths; this one has {len(parts)}",
-            remedy="Write fewer paths as one.",
-            details={"limit": MOST},
-        )
-    return parts
-
-
-def check_group(entries: Sequence[Entry]) -> None:
-    """Check that a backend can write all of them as one.
-
-    :raises NotImplementedByRobot: they are not of one group of one robot.
-    """
-    if len(entries) == 1:
-        return
-    groups = {(e.owner.name, e.unit.name, e.resource.atomic) for e in entries}
-    if len(groups) == 1 and entries[0].resource.atomic is not None:
-        return
-    named = {entry.path: entry.resource.atomic for entry in entries}
-    alone = next((path for path, group in named.items() if group is None), None)
-    why = "they are of different groups or robots" if alone is None else f"{alone} has no group"
-    raise NotImplementedByRobot(
-        f"these paths cannot be written as one: {why}",
-        path=alone or entries[0].path,
-        remedy="Write paths with the same `atomic` group of one robot (see `discover`), or send a "
-        "write for each path.",
-        details={"groups": named},
-    )
-
-
 def _at(error: RcpError, path: str | None) -> RcpError:
     error.path = error.path or path
     return error
@@ -435,11 +372,8 @@ def _attributed(error: BaseException, admitted: _Admitted) -> BaseException:
         if error.path is not None:
             error.details = {**(error.details or {}), "faults": [_fault(error)]}
         return error
-    if isinstance(error, (ConnectionError, TimeoutError)):
-        text = f"the link to the robot failed: {error or type(error).__name__}"
-        return LinkLost(text, origin=owner.name)
     if isinstance(error, Exception):
-        return attribute_error(error, owner.name, admitted.calls[0].entry.path)
+        return attribute_error(error, owner.name, admitted.calls[0].entry.path, sent=True)
     return error
 
 

@@ -11,11 +11,10 @@ from msgspec import Raw
 from msgspec.structs import asdict
 
 from rcp_kernel.contract.identity import fingerprint
-from rcp_kernel.contract.paths import EVERYTHING
+from rcp_kernel.contract.paths import EVERYTHING, is_system
 from rcp_kernel.errors import InternalError, InvalidValue
 from rcp_kernel.sessions.command import Command, Continuation, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue
-from rcp_kernel.tree.entry import is_system
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, error_body
 

@@ -15,37 +15,29 @@ from typing import Any
 
 from rcp_kernel.clock import Clock
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.caller import asked
-from rcp_kernel.contract.fence import current, permit
+from rcp_kernel.contract.caller import request_context
+from rcp_kernel.contract.fence import current_permit, permit
 from rcp_kernel.contract.identity import Principal
+from rcp_kernel.contract.internal_errors import LinkLost
 from rcp_kernel.errors import (
     AlreadyRunning,
     Cancelled,
     DeadlineExceeded,
     DeviceRejected,
-    DeviceTimeout,
     QueueFull,
     RcpError,
     Refused,
 )
 from rcp_kernel.features import Call
 from rcp_kernel.model import Kind
-from rcp_kernel.safety.loss import tell_loss
-from rcp_kernel.sessions.command import (
-    Command,
-    Continuation,
-    LinkLost,
-    Record,
-    has_begun,
-    outcome_of,
-    status_of,
-)
+from rcp_kernel.sessions.command import Command, Continuation, Record
 from rcp_kernel.sessions.long_value import checked
 from rcp_kernel.spi import Backend
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import is_long
-from rcp_kernel.wire import NO_BODY, Request, error_body
+from rcp_kernel.wire import NO_BODY, Request
 from rcp_requests.journal import CommandJournal
+from rcp_requests.outcomes import failed_step, outcome_of
 from rcp_scheduling.timers import Deadlines, moment_of
 from rcp_scheduling.turns import Turns
 
@@ -150,7 +142,7 @@ class Commands:
         if not (entry.parallel or _begins_at_once(entry)):
             self._active[entry.path] = command
         if entry.moves:
-            entry.unit.lost = None
+            entry.unit.loss.command = None
         command.began = entry.unit.stops
         work = self._carry_out(command, call, confirm)
         command.task = self._loop.create_task(work, name=f"command {command.id}")
@@ -224,7 +216,7 @@ class Commands:
         principal = Principal(command.principal, kept.grants, command.proof)
         request = Request(type="execute", path=entry.path, idempotency_key=kept.idempotency_key)
         value = entry.input_type.convert(command.input)
-        asked.set((principal, request, slot, command.id))
+        request_context.set((principal, request, slot, command.id))
         permit(entry.unit, entry.unit.stops)
         command.sent = True
         result = await backend.execute(entry.name, value, partial(self._progress, command, entry))
@@ -248,13 +240,13 @@ class Commands:
             )
         backend = confirm(call)
         assert command.deadline is not None
-        asked.set((call.session.principal, call.request, command.deadline, command.id))
+        request_context.set((call.session.principal, call.request, command.deadline, command.id))
         progress = partial(self._progress, command, entry)
         command.sent = True
         if work is not None:
             result = await work.run(command, call.session, progress)
         else:
-            current.set((entry.unit, command.began))
+            current_permit.set((entry.unit, command.began))
             result = await backend.execute(entry.name, call.value, progress)
         try:
             if work is None and entry.output_type.grows and is_long(result):
@@ -267,8 +259,8 @@ class Commands:
         if command.continuation is None:
             # Not by the task's callback, a turn of the loop later: a result that comes at once is
             # sent together with `accepted`.
-            current.set(None)  # what follows from the result is not the robot's any more
-            asked.set(None)
+            current_permit.set(None)  # what follows from the result is not the robot's any more
+            request_context.set(None)
             command.task = None
             if command.finished is None:
                 self._finish(command, result)
@@ -386,7 +378,7 @@ class Commands:
             self._deadlines.clear(command.deadline, command)
             command.deadline = None
         if isinstance(outcome, RcpError):
-            self._journal.write(command, _failed(command, outcome, self._now()))
+            self._journal.write(command, failed_step(command, outcome, self._now()))
         else:
             body = NO_BODY if outcome is None else outcome
             text = f"Command {command.path} executed successfully."
@@ -432,28 +424,3 @@ def _mismatch(entry: Entry, error: RcpError) -> RcpError:
         f"the robot finished, but its result does not match its type: {error.message}",
         remedy="Correct the backend or the type that it declares.",
     )
-
-
-def _failed(command: Command, error: RcpError, moment: int) -> Record:
-    """Return the final step of a command that ends with an error."""
-    entry = command.entry
-    error.path = error.path or command.path
-    if entry is not None:
-        error.origin = error.origin or entry.owner.name
-        if command.task is not None:
-            tell_loss(entry, error, command.began)
-    body = NO_BODY if command.work is None else command.work.report(over=True)
-    facts = error_body(error)
-    if _has_effect(command, error):
-        facts["retryable"] = False  # a repeat would act on top of what is done already
-    status = status_of(command, error)
-    return Record(status, moment, body, message=error.message, error=facts)
-
-
-def _has_effect(command: Command, error: RcpError) -> bool:
-    """Return whether the robot has acted on a command that failed, or may have."""
-    entry = command.entry
-    if entry is not None and entry.is_hold:  # a repeat has the same effect
-        return False
-    unknown = command.sent and isinstance(error, (DeadlineExceeded, DeviceTimeout))
-    return has_begun(command) or (unknown and entry is not None and entry.moves)

@@ -87,7 +87,7 @@ class Connection:
         "closed",
         "encoding",
         "expelled",
-        "greetings",
+        "hellos",
         "on_hello",
         "on_other",
         "one_way",
@@ -120,7 +120,7 @@ class Connection:
         """Whether the client sends no requests (SSE): it receives, and commands nothing."""
         self.expelled = False
         """The session was ended by the gateway; the transport closes once it has said so."""
-        self.greetings = 0
+        self.hellos = 0
         self.on_hello: Callable[[Hello], dict[str, Any]] | None = None
         """The transport's part of `hello`: the options it adopts, and the limits it returns."""
         self.on_other: Callable[[bytes], bool] | None = None
@@ -305,8 +305,8 @@ class Connection:
 
     def _hello(self, request: Request) -> None:
         try:
-            self.greetings += 1
-            if self.greetings > 1:  # the first one is free: who wants to stop a robot must get in
+            self.hellos += 1
+            if self.hellos > 1:  # the first one is free: who wants to stop a robot must get in
                 self.session.charge()
             hello = request.decode_body(_HELLO, "hello") if request.body else Hello()
             token = self._parts.handshake.offered(hello)
@@ -365,7 +365,7 @@ class Connection:
         """Report that the client has disconnected, and whether it may resume its session."""
         if not self.closed:
             self.closed = True
-            self.session.greeted &= resumable
+            self.session.resumable &= resumable
             if self._identifying is not None:
                 self._identifying.cancel()
             self._parts.sessions.tally(self)

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Coroutine, Generator, Mapping
-from copy import copy
-from functools import partial
-from inspect import iscoroutine
+from collections.abc import Generator, Mapping
 from time import perf_counter
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
 from rcp_kernel.clock import iso, now
-from rcp_kernel.contract.metrics import RequestCounts
-from rcp_kernel.contract.paths import ESTOP
 from rcp_kernel.contract.requests import PreparedRequest, QueuedRequest
 from rcp_kernel.errors import RcpError
-from rcp_kernel.features import Call, Service
+from rcp_kernel.features import Call
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.deadman import Deadman
 from rcp_kernel.safety.hold import Hold
@@ -34,30 +29,16 @@ from rcp_requests.command_access import CommandAccess, is_own
 from rcp_requests.commands import Commands
 from rcp_requests.exempt import Exemptions
 from rcp_requests.idempotency import Keys
-from rcp_requests.inflight import InFlight
 from rcp_requests.journal import CommandJournal
-from rcp_requests.keyed_write import KeyedWrites
-from rcp_requests.replies import ReplyGate
+from rcp_requests.services import ServiceHandler
 from rcp_requests.waiting import WaitingCommand
 from rcp_requests.write import DryRun, dry_run_reply
 from rcp_scheduling.turns import at_once
 from rcp_streams.frames import FrameConverter
 
-__all__ = ["EstopLane", "ExecuteHandler"]
+__all__ = ["ExecuteHandler"]
 
 _NOTHING = (b"", b"{}", b"null", b"\x80")  # bodies for a path without input
-
-
-class EstopLane(Protocol):
-    """The e-stop, which bypasses every queue and limit."""
-
-    def names(self, session: Session, value: Any, /) -> list[str]:
-        """Check an e-stop without executing it; return the names of the robots in its scope."""
-        ...
-
-    def request(self, session: Session, value: Any, sent: Request, /) -> Coroutine[Any, Any, Any]:
-        """Latch immediately; awaiting the result waits for the robots."""
-        ...
 
 
 class _Cancel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -68,7 +49,7 @@ _CANCEL = value_type(_Cancel | None)
 
 
 class ExecuteHandler:
-    """The handlers of both requests."""
+    """The handler of `execute` and `cancel`."""
 
     def __init__(
         self,
@@ -78,16 +59,11 @@ class ExecuteHandler:
         journal: CommandJournal,
         access: CommandAccess,
         *,
-        estop: EstopLane,
-        services: Mapping[str, Service],
+        services: ServiceHandler,
         actions: Mapping[str, ActionHandler],
         dry_run: DryRun,
         exempt: Exemptions,
         keys: Keys,
-        keyed: KeyedWrites,
-        inflight: InFlight,
-        counts: RequestCounts,
-        replies: ReplyGate,
         partners: Partners,
         deadman: Deadman,
         frames: FrameConverter,
@@ -97,16 +73,11 @@ class ExecuteHandler:
         self._commands = commands
         self._journal = journal
         self._access = access
-        self._estop_lane = estop
         self._services = services
         self._actions = actions
         self._dry_run = dry_run
         self._is_exempt = exempt
         self._keys = keys
-        self._keyed = keyed
-        self._inflight = inflight
-        self._counts = counts
-        self._replies = replies
         self._partners = partners
         self._deadman = deadman
         self._frames = frames
@@ -161,8 +132,10 @@ class ExecuteHandler:
         started = perf_counter()
         entry = self._resolver.resolve(session, request.path, Operation.EXECUTE)
         action = self._actions.get(entry.path)
-        keyed = request.idempotency_key is not None
-        if keyed and (known := self._known(session, request, entry)) is not None:
+        if (
+            request.idempotency_key is not None
+            and (known := self._known(session, request, entry)) is not None
+        ):
             self._journal.follow(known, session, request, answer, started)
             return None
         if prepared is not None:
@@ -171,11 +144,8 @@ class ExecuteHandler:
             value = None
         elif entry.takes_frame is False or (value := self._goal(session, request, entry)) is None:
             value = request.decode_body(entry.input_type, f"input of {entry.label}")
-        if entry.path == ESTOP:
-            return self._estop(session, request, answer, entry, value)
-        if (service := self._services.get(entry.path)) is not None:
-            self._serve(service, session, request, entry, value, answer)
-            return None
+        if entry.path in self._services.paths:
+            return self._services.execute(session, request, entry, value, answer)
         call = Call(session, request, entry, value)
         self._admission.admit(call)
         self._commands.admit(entry)
@@ -193,6 +163,20 @@ class ExecuteHandler:
         self._admission.admit_late(call)
         if request.dry_run:
             return self._would(call, prepared)
+        self._begin(call, answer, started, action, prepared)
+        return None
+
+    def _begin(
+        self,
+        call: Call,
+        answer: Answer,
+        started: float,
+        action: ActionHandler | None,
+        prepared: PreparedRun | None,
+    ) -> None:
+        """Make a command of an admitted call, answer the request with its steps, and start it."""
+        session, request, entry = call.session, call.request, call.entry
+        keyed = request.idempotency_key is not None
         if action is None or prepared is None:
             command = _command(call)
         else:
@@ -210,7 +194,6 @@ class ExecuteHandler:
         self._commands.start(command, call, self._admission.confirm)
         if action is not None and prepared is not None:
             action.waiting.settle(prepared.waiting, command)
-        return None
 
     def _goal(self, session: Session, request: Request, entry: Entry) -> Any:
         """Return the input in a frame that the robot takes; None: it is so already."""
@@ -275,111 +258,12 @@ class ExecuteHandler:
 
         return settle
 
-    def _estop(
-        self, session: Session, request: Request, answer: Answer, entry: Entry, value: Any
-    ) -> Reply | None:
-        scope = value or entry.input_type.convert({})
-        if request.dry_run:
-            robots = self._estop_lane.names(session, scope)
-            return dry_run_reply(request, entry, {"execute": value, "robots": robots})
-
-        def done(state: Any) -> Reply:
-            text = "E-stop latched." if state.active else "E-stop released."
-            now_ = iso(now())
-            return Reply(
-                type="execute",
-                id=request.id,
-                path=entry.path,
-                body=state,
-                message=text,
-                timestamp=now_,
-            )
-
-        work = self._estop_lane.request(session, scope, request)
-        self._inflight.answer_later(
-            session,
-            request,
-            self._replies.estop_when_stored(answer),
-            work,
-            done,
-            entry.resource.timeout or 6.0,
-            entry.path,
-            urgent=True,
-        )
-        return None
-
-    def _serve(
-        self,
-        service: Service,
-        session: Session,
-        request: Request,
-        entry: Entry,
-        value: Any,
-        answer: Answer,
-    ) -> None:
-        """Execute a service of the gateway; the reply is sent once it is stored.
-
-        A repetition with the same key is not executed.
-        """
-        started, limit = perf_counter(), self._inflight.deadline(request, entry)
-        answer = self._replies.when_stored(answer, request)
-        known = self._keyed.find(session, request, entry.path)
-        if known is not None and not known.done():
-            self._keyed.repeat(known, session, request, entry.path, limit, answer)
-            return
-        if known is not None:
-            reply = copy(known.result())
-            reply.id = request.id
-        else:
-            lost = self._replies.lost
-            body = service(session, value, dry_run=request.dry_run)
-            made = partial(self._service_reply, request, entry, lost)
-            if iscoroutine(body):
-                self._serve_later(session, request, entry, body, made, limit, answer)
-                return
-            if request.dry_run:
-                reply = dry_run_reply(request, entry, {"execute": value})
-            else:
-                reply = made(body)
-                self._keyed.note_service(session, request, entry.path, _ignore)(reply)
-        self._counts.conclude(session.transport, reply, started)
-        answer(reply)
-
-    def _serve_later(
-        self,
-        session: Session,
-        request: Request,
-        entry: Entry,
-        work: Coroutine[Any, Any, Any],
-        made: Callable[[Any], Reply],
-        limit: float,
-        answer: Answer,
-    ) -> None:
-        noted = self._keyed.note_service(session, request, entry.path, answer)
-        try:
-            self._inflight.answer_later(session, request, noted, work, made, limit, entry.path)
-        except RcpError:
-            self._keyed.forget(session, request, entry.path)
-            raise
-
-    def _service_reply(self, request: Request, entry: Entry, lost: int, body: Any) -> Reply:
-        reply = Reply(
-            type="execute",
-            id=request.id,
-            path=entry.path,
-            body=body,
-            message=f"{entry.path} done.",
-            timestamp=iso(now()),
-            custom=request.custom,
-        )
-        return self._replies.confirmed(reply, lost)
-
     def _known(self, session: Session, request: Request, entry: Entry) -> Command | None:
         """Return the command that was started with the same key.
 
         It is looked up before the input is converted to the robot's frame, which may be impossible by now.
         """
-        if entry.path == ESTOP or entry.path in self._services:
+        if entry.path in self._services.paths:
             return None
         known = self._keys.find(session, request, entry.path)
         return known if isinstance(known, Command) else None
@@ -421,10 +305,6 @@ class ExecuteHandler:
             timestamp=iso(now()),
             custom=request.custom,
         )
-
-
-def _ignore(_: Reply) -> None:
-    """Answer nobody."""
 
 
 def _command(call: Call) -> Command:

@@ -93,7 +93,7 @@ class Handshake:
             self._resume(connection, hello, returning)
         facts = connection.on_hello(hello) if connection.on_hello is not None else {}
         session = connection.session
-        session.greeted = True
+        session.resumable = True
         self._stored.note(session)
         limits = self._settings.limits
         agreed = {

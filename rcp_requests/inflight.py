@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from rcp_kernel.config.settings import Settings
-from rcp_kernel.contract.caller import asked
+from rcp_kernel.contract.caller import request_context
 from rcp_kernel.contract.fence import end_permit
 from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.metrics import RequestCounts
@@ -28,7 +28,7 @@ Make = Callable[[Any], Reply]
 
 
 class InFlight:
-    """Reserves a slot for each request, and answers it when its work is done."""
+    """Reserves a place for each request, and answers it when its work is done."""
 
     def __init__(
         self,
@@ -139,7 +139,7 @@ class _Pending:
             self._task = self._inflight.loop.create_task(self._run())
 
     async def _run(self) -> None:
-        asked.set((self._session.principal, self._request, self._slot, None))
+        request_context.set((self._session.principal, self._request, self._slot, None))
         try:
             result = await self._work
         except asyncio.CancelledError:

@@ -16,7 +16,6 @@ from rcp_kernel.features.commands import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.deadman import REPLY_GRACE, Deadman
 from rcp_kernel.safety.safe_value import safe_value
-from rcp_kernel.sessions.command import LinkLost, is_unchanged
 from rcp_kernel.sessions.long_value import LongValue
 from rcp_kernel.sessions.session import Answer, Session
 from rcp_kernel.spi import Backend
@@ -29,6 +28,7 @@ from rcp_requests.admission import Admission, Resolver
 from rcp_requests.atomic_write import AtomicWriteHandler, DryRun
 from rcp_requests.inflight import InFlight
 from rcp_requests.keyed_write import KeyedWrites
+from rcp_requests.outcomes import is_unchanged
 from rcp_requests.replies import ReplyGate
 from rcp_requests.request_events import RequestEvents
 from rcp_scheduling.turns import Turns
@@ -167,13 +167,10 @@ class WriteHandler:
                 deadman.arm(entry, 0)
             else:
                 deadman.disarm(entry, timer)
-            if isinstance(error, RcpError):
+            if isinstance(error, RcpError):  # raised as it is: a variable would form a cycle
                 error.origin = error.origin or entry.owner.name
-            elif isinstance(error, (ConnectionError, TimeoutError)):
-                text = f"the link to the robot failed: {error or type(error).__name__}"
-                raise LinkLost(text, origin=entry.owner.name) from error
             elif isinstance(error, Exception):
-                raise attribute_error(error, entry.owner.name, entry.path) from error
+                raise attribute_error(error, entry.owner.name, entry.path, sent=True) from error
             raise
         entry.owner.latency = perf_counter() - started
         actual = value if actual is None else actual

@@ -8,13 +8,14 @@ from typing import Any
 
 from rcp_kernel.sessions.notices import notice
 from rcp_kernel.sessions.outbox import FlushScheduler
-from rcp_kernel.tree.entry import Entry, Listener
+from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
+from rcp_kernel.tree.samples import Listener
 from rcp_scheduling.timers import Timers
 from rcp_streams.deadline_monitor import DeadlineMonitor
 from rcp_streams.demand import AbsentListener, DemandTracker, absent_listener
-from rcp_streams.feeds import new_path_subscription
 from rcp_streams.path_subscription import PathSubscription
+from rcp_streams.selection import new_path_subscription
 from rcp_streams.shared_fanout import path_subscriptions_of
 from rcp_streams.subscription import Subscription
 

@@ -13,10 +13,10 @@ from rcp_kernel.sessions.outbox import Outbox
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
 from rcp_scheduling.turns import Turns, Work
-from rcp_streams.feeds import new_path_subscription
 from rcp_streams.hub import Hub
 from rcp_streams.options import seconds
 from rcp_streams.path_subscription import PathSubscription
+from rcp_streams.selection import new_path_subscription
 from rcp_streams.subscription import Subscription
 
 __all__ = ["SubscriptionLinker"]

@@ -123,5 +123,5 @@ class RobotLeases:
             since=parse_time(told["since"]),
             expires=parse_time(told["expires"]),
             reason=told.get("reason"),
-            told=moment,
+            reported=moment,
         )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rcp_approvals.questions import Questions
-from rcp_kernel.features import Call, Slot
+from rcp_kernel.features import Call, Guard, Slot
 from rcp_kernel.features.approval import About
 from rcp_kernel.safety.safe_value import is_safe
 from rcp_kernel.sessions.session import Session
@@ -16,7 +16,7 @@ from rcp_kernel.tree.entry import Entry
 __all__ = ["ApprovalGuard"]
 
 
-class ApprovalGuard:
+class ApprovalGuard(Guard):
     """Holds back commands that require a person's approval."""
 
     slot = Slot.APPROVAL

@@ -14,7 +14,7 @@ import msgspec
 
 from rcp_audit.throttle import DenialThrottle
 from rcp_kernel.contract.digest import LONGEST, bounded, hashed
-from rcp_kernel.contract.events import Acting, Event
+from rcp_kernel.contract.events import ActingSession, Event
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.contract.paths import EVERYTHING, bounded_touches
 from rcp_kernel.contract.requests import PreparedRequest
@@ -136,7 +136,7 @@ class Records:
     def _who(
         self,
         principal: Principal | None,
-        session: Acting | None,
+        session: ActingSession | None,
         tenant: str | None,
         path: str | None,
         touches: Iterable[str] | None,
@@ -245,7 +245,7 @@ def _value(request: Request, *, hide: bool) -> Any:
 
 def who_did(
     principal: Principal | None,
-    session: Acting | None,
+    session: ActingSession | None,
     tenant: str | None,
     path: str | None,
     touches: Iterable[str] | None,

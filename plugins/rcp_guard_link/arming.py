@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from rcp_guard_link.process import GuardProcess
 from rcp_kernel.config.safety import Safety
 from rcp_kernel.errors import StaleCommand
-from rcp_kernel.features import Call, Slot
+from rcp_kernel.features import Call, Guard, Slot
 from rcp_kernel.features.robots import SupervisedBackend
 from rcp_kernel.tree.entry import Owner
 
@@ -20,12 +20,11 @@ _PERIOD = 0.1  # s between two heartbeats at most; a fifth of `guard_after` if t
 _THAW = 0.5  # s after a freeze during which received requests may be old
 
 
-class GuardArming:
+class GuardArming(Guard):
     """Arms the guard before anything moves, and refuses requests that a freeze has delayed."""
 
     slot = Slot.LEASE
     """Called for safe values too: written late, one may stop what has begun since."""
-    active = True
 
     def __init__(
         self, loop: asyncio.AbstractEventLoop, safety: Safety, backends: Sequence[SupervisedBackend]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from rcp_inventory.messages import Control
 from rcp_kernel.clock import iso
-from rcp_kernel.features import Call, FeatureHost
+from rcp_kernel.features import Call, CommandObserver, FeatureHost
 from rcp_kernel.features.control import HOLDERS
 from rcp_kernel.safety.safe_value import is_safe
 from rcp_kernel.tree.entry import Entry
@@ -26,8 +26,8 @@ class _Write(NamedTuple):
     principal: str
 
 
-class Controllers:
-    """Notes who commands what, as the feature's `CommandObserver`."""
+class Controllers(CommandObserver):
+    """Notes who commands what."""
 
     writes_only = True
 
@@ -97,9 +97,6 @@ class Controllers:
         else:
             del writes[place]
             self._changed()
-
-    def stopping(self, entry: Entry, safe: Any) -> None:
-        """Do nothing: it still moves."""
 
     def rested(self, entry: Entry, safe: Any) -> None:
         """Forget who wrote."""

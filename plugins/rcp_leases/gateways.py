@@ -182,11 +182,11 @@ class GatewayLeases:
 
     def _granted(self, granted: Mapping[RobotUnit, RobotLease], before: int) -> Granted:
         """Return what was granted, if it lasts any longer."""
-        left = min((one.expires - one.told for one in granted.values()), default=0)
+        left = min((one.expires - one.reported for one in granted.values()), default=0)
         if granted and before + left <= self._clock.now():
             raise DeadlineExceeded("the lease has expired at a robot before the last one answered")
         return Granted(
-            {unit.name: GatewayLease(one.id, one.told) for unit, one in granted.items()},
+            {unit.name: GatewayLease(one.id, one.reported) for unit, one in granted.items()},
             before + left,
         )
 

@@ -43,7 +43,7 @@ class GatewayLease(NamedTuple):
 
     id: str
     """The one that the robot's gateway has given it."""
-    told: int
+    reported: int
     """When that gateway last granted it, ns by its clock."""
 
 

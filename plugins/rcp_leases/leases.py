@@ -17,7 +17,7 @@ import structlog
 
 from rcp_kernel.clock import iso
 from rcp_kernel.errors import BadRequest, LeaseLost, LeaseRequired, RcpError
-from rcp_kernel.features import Call, FeatureHost, Scope, Slot
+from rcp_kernel.features import Call, FeatureHost, Guard, Scope, Slot
 from rcp_kernel.model import Operation, Pattern
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry, RobotUnit
@@ -35,12 +35,10 @@ _TABLE = "held"
 _NEEDED = 100_000  # cached paths
 
 
-class Leases:
+class Leases(Guard):
     """All leases of the gateway: the guard that checks each write and execute against them."""
 
     slot = Slot.LEASE
-    active = True
-    """A lease may be acquired at any time."""
 
     def __init__(
         self, config: LeasesConfig, host: FeatureHost, *, changed: Callable[[], None]
@@ -457,7 +455,7 @@ class Leases:
 
     def _compare(self, lease: Lease, unit: RobotUnit) -> None:
         held, own = lease.gateways.get(unit.name), unit.own_leases
-        if held is None or own is None or own.told < held.told or lease.id in self._asked:
+        if held is None or own is None or own.reported < held.reported or lease.id in self._asked:
             return
         there = next((one for one in own.leases if one.id == held.id), None)
         if there is not None and there.holder == lease.holder:

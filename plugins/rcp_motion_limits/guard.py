@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rcp_kernel.access.acl import Rights
-from rcp_kernel.features import Call, Slot, StatusPart
+from rcp_kernel.features import Call, CommandObserver, Guard, Slot, StatusPart
 from rcp_kernel.model import Kind
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
@@ -15,7 +15,7 @@ from rcp_motion_limits.limits import MotionLimits
 __all__ = ["MotionLimitGuard"]
 
 
-class MotionLimitGuard:
+class MotionLimitGuard(Guard, CommandObserver):
     """Holds commands to their limits."""
 
     slot = Slot.MOTION_LIMIT

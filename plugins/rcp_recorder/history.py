@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.clock import iso, parse_time
-from rcp_kernel.contract.caller import asked
+from rcp_kernel.contract.caller import request_context
 from rcp_kernel.errors import BadRequest, Forbidden, InvalidValue, RcpError, UnknownPath
 from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Operation, Pattern
@@ -95,7 +95,7 @@ class History:
         facts = {"path": path, **_span_of(query)}
         if dry_run:
             return facts
-        current = asked.get()
+        current = request_context.get()
         encoding = Encoding.JSON if current is None else current[1].encoding
         return Page(await self._answer(replace(query, facts=facts, encoding=encoding)), encoding)
 

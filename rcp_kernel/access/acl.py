@@ -22,6 +22,7 @@ import msgspec
 from rcp_conditions import Condition, condition
 from rcp_kernel.config.role import ASK, BUILTIN_ROLES, DECIDE, OPERATIONS, Role, Rule
 from rcp_kernel.contract.identity import Grants, Principal
+from rcp_kernel.contract.paths import can_name_resource
 from rcp_kernel.model import Operation, Pattern, tenant_of
 
 if TYPE_CHECKING:
@@ -34,7 +35,6 @@ _NO_GRANTS: Mapping[str, Sequence[Rule]] = MappingProxyType({})
 _MAX_KNOWN = 200_000  # paths with cached masks, over all sets of roles
 _MAX_COMPILED = 1000  # sets of roles with cached rights
 _NAMED = re.compile(r"/tenant/[\w./-]+")
-_RESOURCE = 4  # minimum number of slashes in the path of a resource; shorter paths are scopes
 _CONDITIONAL_SHIFT = 8  # bits by which conditional operations are shifted
 # Masks are plain integers: Python makes a new flag of each `&` of two flags, at thirty times the cost.
 _DISCOVER = int(Operation.DISCOVER)
@@ -204,9 +204,7 @@ class Rights:
         """Return whether a text is a path, existing or not, that is hidden."""
         for found in _NAMED.findall(text):
             path = found.rstrip(".")
-            if path.count("/") >= _RESOURCE and not (
-                self.masks.get(path) or self.compute_mask(path)
-            ):
+            if can_name_resource(path) and not (self.masks.get(path) or self.compute_mask(path)):
                 return True
         return False
 

@@ -16,7 +16,12 @@ import msgspec
 
 from rcp_kernel.access.acl import Rights, reach
 from rcp_kernel.access.tree_views import TreeViews
-from rcp_kernel.contract.paths import EVERYTHING, MOST_TOUCHES
+from rcp_kernel.contract.paths import (
+    EVERYTHING,
+    MOST_TOUCHES,
+    can_name_resource,
+    depth_in_tenant,
+)
 from rcp_kernel.model import BRANCHES, MAX_PATH, Operation, tenant_of
 from rcp_kernel.values import Encoding, dump
 
@@ -32,8 +37,6 @@ _SHORT = re.compile(rf"(?:{'|'.join(_KINDS)})(?:[./][\w-]+)+", re.ASCII)
 _encode = msgspec.json.encode
 _LONGEST = 65_536  # bytes that are searched, which takes 2 ms
 _MAX_UNKNOWN = 32  # unknown names, which are checked against the rules one by one
-_RESOURCE = 4  # minimum number of slashes in the path of a resource; shorter paths are scopes
-_ROBOT = 3  # slashes of the key of a robot
 
 
 def names_in(value: Any) -> frozenset[str]:
@@ -67,7 +70,7 @@ class Visibility:
         self._named: dict[str, set[str]] = {}
         """The paths of resources by their names without tenant, or without tenant and robot."""
         self._robots: dict[str, set[str]] = {}
-        """The paths of robots' resources by the names and keys of their stop groups."""
+        """The paths of robots' resources by the names and keys of their robot units."""
         registry.on_added.append(self._add)
         registry.on_removed.append(self._remove)
 
@@ -131,13 +134,13 @@ class Visibility:
             return True
         if path in self._registry.entries:
             return not rights.mask(path)
-        slashes = path.count("/")
-        if slashes == _ROBOT and path in self._robots:
+        depth = depth_in_tenant(path)
+        if depth == 1 and path in self._robots:
             return not self.sees_robot(rights, path, tenant)
-        within = [*islice(self._below(path), MOST_TOUCHES)] if slashes >= _ROBOT else []
+        within = [*islice(self._below(path), MOST_TOUCHES)] if depth >= 1 else []
         if within:
             return not any(map(rights.mask, within))
-        return slashes >= _RESOURCE and not (rights.masks.get(path) or rights.compute_mask(path))
+        return can_name_resource(path) and not (rights.masks.get(path) or rights.compute_mask(path))
 
     def _below(self, path: str) -> Iterator[str]:
         index, prefix = self._registry.index, path + "/"
@@ -167,7 +170,7 @@ class Visibility:
         return bool(mask & operation)
 
     def sees_robot(self, rights: Rights, name: str, tenant: str | None) -> bool:
-        """Return whether any part of a robot is visible, by the name or key of its stop group.
+        """Return whether any part of a robot is visible, by the name or key of its robot unit.
 
         A robot that does not exist could be any hidden one: it is visible only to those who see the
         whole tenant.

@@ -14,7 +14,7 @@ from rcp_kernel.wire import Request
 from rcp_protocol.trace import Trace, traced
 from rcp_scheduling.timers import moment_of
 
-__all__ = ["Caller", "asked", "caller"]
+__all__ = ["Caller", "caller", "request_context"]
 
 
 class Caller(msgspec.Struct, frozen=True):
@@ -39,8 +39,8 @@ class Caller(msgspec.Struct, frozen=True):
         return self.idempotency_key or self.command
 
 
-asked: ContextVar[tuple[Principal, Request, int, str | None] | None] = ContextVar(
-    "rcp_asked", default=None
+request_context: ContextVar[tuple[Principal, Request, int, str | None] | None] = ContextVar(
+    "rcp_request", default=None
 )
 """Principal, request, slot of the deadline and command of the current operation; set by the kernel."""
 
@@ -51,7 +51,7 @@ def caller() -> Caller | None:
     None for the stops and dead-man of the gateway, and for `watch`, which serves all subscribers. Valid
     until the operation ends, also while it is cancelled.
     """
-    current = asked.get()
+    current = request_context.get()
     if current is None:
         return None
     principal, request, slot, command = current

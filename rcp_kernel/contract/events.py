@@ -3,17 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import msgspec
 
 from rcp_kernel.contract.identity import Principal
 from rcp_kernel.wire import Request
 
-__all__ = ["Acting", "Event", "EventBus", "EventListener", "Hear"]
+__all__ = ["ActingSession", "Event", "EventBus", "EventHandler", "EventKind", "EventListener"]
 
 
-class Acting(Protocol):
+EventKind = Literal[
+    "configuration",
+    "deadman",
+    "denial",
+    "estop",
+    "login",
+    "read",
+    "recovery",
+    "reload",
+    "start",
+    "stop",
+    "unrecorded",
+    "write",
+]
+"""What the gateway itself reports; features report kinds of their own by `FeatureHost.note`."""
+
+
+class ActingSession(Protocol):
     """The session in which something was done."""
 
     @property
@@ -36,9 +53,10 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Something that happened: a write, a refusal, a login, an e-stop, a reload."""
 
     what: str
+    """An `EventKind`, or the kind that a feature reports."""
     principal: Principal | None
     """Who did it; None for the gateway itself, and for unauthenticated clients."""
-    session: Acting | None = None
+    session: ActingSession | None = None
     request: Request | None = None
     """The envelope that caused it."""
     hide: bool = False
@@ -54,14 +72,14 @@ class Event(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     """Further facts; some may be None."""
 
 
-Hear = Callable[[Event], bool | None]
+EventHandler = Callable[[Event], bool | None]
 """Receives an event, without blocking; returns whether replies about it should wait (`Durability`)."""
 
 
 class EventListener(Protocol):
     """A feature that receives all events."""
 
-    on_event: Hear
+    on_event: EventHandler
     failing: bool
     """Whether it did not even accept the event that reports a gap."""
 
@@ -78,10 +96,10 @@ class EventBus:
 
     def note(
         self,
-        what: str,
+        what: EventKind,
         *,
         principal: Principal | None,
-        session: Acting | None = None,
+        session: ActingSession | None = None,
         request: Request | None = None,
         hide: bool = False,
         tenant: str | None = None,

@@ -13,13 +13,13 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Protocol
 
-from rcp_kernel.contract.caller import asked
+from rcp_kernel.contract.caller import request_context
 from rcp_kernel.errors import EstopActive
 
 __all__ = [
     "Fenced",
     "check_fence",
-    "current",
+    "current_permit",
     "end_permit",
     "fenced_off",
     "is_commanded",
@@ -40,7 +40,7 @@ class Fenced(Protocol):
         ...
 
 
-current: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", default=None)
+current_permit: ContextVar[tuple[Fenced, int] | None] = ContextVar("rcp_permit", default=None)
 """The permit of what runs now: a unit, and its count of stops when the request was admitted; set by
 the kernel."""
 
@@ -57,43 +57,43 @@ class permitted:  # noqa: N801 - used as a function is
         self._permitted = (unit, stops)
 
     def __enter__(self) -> None:
-        self._token = current.set(self._permitted)
+        self._token = current_permit.set(self._permitted)
 
     def __exit__(self, *_: object) -> None:
-        current.reset(self._token)
+        current_permit.reset(self._token)
 
 
 def permit(unit: Fenced, stops: int) -> None:
     """Run the rest of the current task under such a permit."""
-    current.set((unit, stops))
+    current_permit.set((unit, stops))
 
 
 def end_permit() -> None:
     """Run the rest of the current task without a permit and caller: its robot has answered."""
-    current.set(None)
-    asked.set(None)
+    current_permit.set(None)
+    request_context.set(None)
 
 
 @contextmanager
 def unfenced() -> Generator[None]:
     """Run the body without a permit and caller: a stop, or work that outlives its request."""
-    token, caller = current.set(None), asked.set(None)
+    token, caller = current_permit.set(None), request_context.set(None)
     try:
         yield
     finally:
-        asked.reset(caller)
-        current.reset(token)
+        request_context.reset(caller)
+        current_permit.reset(token)
 
 
 def fenced_off() -> bool:
     """Return whether the robot was stopped after the current operation was admitted."""
-    permit = current.get()
+    permit = current_permit.get()
     return permit is not None and permit[0].stops != permit[1]
 
 
 def is_commanded() -> bool:
     """Return whether a client requested the current operation: it is no stop of the gateway's own."""
-    return current.get() is not None
+    return current_permit.get() is not None
 
 
 def check_fence() -> None:
@@ -102,6 +102,6 @@ def check_fence() -> None:
     :raises EstopActive: the robot has been stopped since.
     """
     if fenced_off():
-        permit = current.get()
+        permit = current_permit.get()
         assert permit is not None
         raise EstopActive(f"{permit[0].name} was stopped after this command was sent")

@@ -108,7 +108,7 @@ class RobotLease(msgspec.Struct, frozen=True, kw_only=True):
     since: int
     expires: int
     reason: str | None
-    told: int
+    reported: int
     """When the robot's gateway reported it."""
 
 
@@ -116,7 +116,7 @@ class OwnLeases(msgspec.Struct, frozen=True):
     """All leases on a robot, as its own gateway lists them."""
 
     leases: tuple[RobotLease, ...]
-    told: int
+    reported: int
     """When the robot's gateway reported it, ns by its clock."""
 
 

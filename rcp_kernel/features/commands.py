@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 from rcp_kernel.features.guard import Call
 from rcp_kernel.features.health import FeatureHealth
@@ -12,36 +12,33 @@ from rcp_kernel.tree.entry import Entry
 __all__ = ["CommandEvents", "CommandObserver"]
 
 
-class CommandObserver(Protocol):
+class CommandObserver:
     """Receives every write and execute on a robot, and every stop.
 
     Called on the event loop: must neither block nor await. It cannot refuse anything; an exception
-    is logged and changes nothing. An observer may have an attribute `writes_only`, read at
-    the start and after each reload: if it is true, `sent` is not called for executes.
+    is logged and changes nothing. Without an override, a method does nothing.
     """
+
+    writes_only: bool = False
+    """Whether `sent` is not called for executes; read at the start and after each reload."""
 
     def sent(self, call: Call) -> None:
         """A command has passed all guards and is being sent to its robot."""
-        ...
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
         """The robot accepted a written value, as `actual`."""
-        ...
 
     def refused(self, entry: Entry, value: Any) -> None:
         """The robot did not accept a written value, and continues as before."""
-        ...
 
     def stopping(self, entry: Entry, safe: Any) -> None:
         """The gateway sends an actuator its safe value, repeatedly until the robot accepts it."""
-        ...
 
     def rested(self, entry: Entry, safe: Any) -> None:
         """The safe value is in force, or the whole robot is at rest.
 
         `safe` is None for an actuator without a safe value.
         """
-        ...
 
 
 class CommandEvents:
@@ -55,9 +52,7 @@ class CommandEvents:
     def configure(self, observers: Iterable[tuple[CommandObserver, FeatureHealth]]) -> None:
         """Set the observers."""
         self._observers = tuple(observers)
-        self.of_executes = tuple(
-            one for one in self._observers if not getattr(one[0], "writes_only", False)
-        )
+        self.of_executes = tuple(one for one in self._observers if not one[0].writes_only)
 
     def sent(self, call: Call) -> None:
         """Notify the observers: of an execute, those in `of_executes`."""

@@ -18,7 +18,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.role import Rule
-from rcp_kernel.contract.events import Hear
+from rcp_kernel.contract.events import EventHandler
 from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
@@ -96,7 +96,7 @@ class Feature:
     """Returns a part of `/system/status` for a principal, or for everyone (None)."""
     authenticator: Authenticator | None = None
     """Returns the principal of a bearer token."""
-    on_event: Hear | None = None
+    on_event: EventHandler | None = None
     """Receives writes, refusals, logins, e-stops, stops by the gateway, starts and reloads."""
     on_command: CommandListener | None = None
     """Receives each step of each command, including plans, before any client does. An object with an

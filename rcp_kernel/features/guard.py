@@ -7,8 +7,9 @@ guard, and the safe value of an actuator only by those in the slot `LEASE`.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
@@ -56,18 +57,18 @@ class Call(msgspec.Struct, frozen=True):
         return self.entry.is_hold or is_safe(self.entry, self.value)
 
 
-class Guard(Protocol):
+class Guard(ABC):
     """Refuses calls by raising an `RcpError`; any other exception refuses as `internal`.
 
     Both methods run on the event loop for each write and execute, and must neither block nor await.
-    A guard may have an attribute `idle`, read for each call: while it is true, both would do
-    nothing, and neither is called.
     """
 
-    @property
-    def slot(self) -> Slot:
-        """The position in admission."""
-        ...
+    slot: Slot
+    """The position in admission."""
+
+    idle: bool = False
+    """Whether both methods would do nothing now, so that neither is called. It is read for each call,
+    and therefore an attribute."""
 
     @property
     def active(self) -> bool:
@@ -75,12 +76,12 @@ class Guard(Protocol):
 
         An inactive guard is skipped at no cost.
         """
-        ...
+        return True
 
+    @abstractmethod
     def admit(self, call: Call) -> None:
         """Refuse a call now. For dry runs (`call.request.dry_run`) it must not change anything."""
-        ...
 
+    @abstractmethod
     def confirm(self, call: Call) -> None:
         """Check again just before the call is executed: it may have waited."""
-        ...

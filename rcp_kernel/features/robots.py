@@ -11,9 +11,9 @@ from rcp_conditions import Condition
 from rcp_kernel.access.conditions import Conditions
 from rcp_kernel.features.health import FeatureHealth
 from rcp_kernel.spi import StopPlan
-from rcp_kernel.tree.entry import Entry, Listener, Owner, RobotUnit
+from rcp_kernel.tree.entry import Entry, Owner, RobotUnit
 from rcp_kernel.tree.registry import Registry
-from rcp_kernel.tree.samples import Sample
+from rcp_kernel.tree.samples import Listener, Sample
 
 __all__ = ["RobotConditions", "Robots", "SupervisedBackend"]
 
@@ -113,9 +113,9 @@ class Robots:
         """
         self._registry.on_state.append(self._contained("follow_state", changed))
 
-    def follow_leases(self, told: Callable[[RobotUnit], None]) -> None:
+    def follow_leases(self, changed: Callable[[RobotUnit], None]) -> None:
         """Report when a robot's own gateway has announced who holds leases on it (`own_leases`)."""
-        self._registry.on_leases.append(self._contained("follow_leases", told))
+        self._registry.on_leases.append(self._contained("follow_leases", changed))
 
     def _contained(self, part: str, callback: Callable[P, None]) -> Callable[P, None]:
         """Keep errors of the feature from the caller: a backend, or an e-stop."""

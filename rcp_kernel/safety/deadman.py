@@ -32,20 +32,20 @@ class Deadman:
         *,
         sending: Callable[[Entry, Any], None],
         at_rest: Callable[[Entry, Any], None],
-        untaken: Callable[[Entry], list[asyncio.Task[None]]],
+        escalate: Callable[[Entry], list[asyncio.Task[None]]],
         note: Callable[[Entry, str], None],
     ) -> None:
         """Create the dead-man, which brings expired commands to rest.
 
         `sending` is called when a safe value is being sent; `at_rest` when it is in force, or the
-        whole robot is brought to rest. `untaken` is called to stop the robot by other means while a
+        whole robot is brought to rest. `escalate` is called to stop the robot by other means while a
         safe value is not accepted, and returns the tasks. `note` records expired commands and
         accepted safe values.
         """
         self._loop = loop
         self._sending = sending
         self._at_rest = at_rest
-        self._untaken = untaken
+        self._escalate = escalate
         self._note = note
         self._timers: dict[str, Cancellable] = {}
         self._stops: dict[str, Cancellable] = {}
@@ -108,7 +108,7 @@ class Deadman:
             task = self._loop.create_task(self._stop(entry), name=f"dead-man {entry.path}")
         self._stops[entry.path] = task
         helping: list[asyncio.Task[None]] = []
-        late = self._loop.call_later(_ESCALATE_AFTER, lambda: helping.extend(self._untaken(entry)))
+        late = self._loop.call_later(_ESCALATE_AFTER, lambda: helping.extend(self._escalate(entry)))
 
         def forget(done: asyncio.Task[None]) -> None:
             late.cancel()

@@ -31,7 +31,7 @@ def tell_loss(entry: Entry, error: RcpError, began: int) -> None:
     """
     if not entry.moves or not isinstance(error, _LOST):
         return
-    if not entry.unit.note_lost(entry.path, began):
+    if not entry.unit.loss.note(entry.path, began):
         return
     policy = entry.owner.on_loss
     error.details = {**(error.details or {}), "on_loss": policy}

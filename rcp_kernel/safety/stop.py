@@ -25,10 +25,10 @@ from rcp_kernel.safety.retry import retry_until_confirmed
 from rcp_kernel.spi import MotionState
 from rcp_kernel.tree.entry import RobotUnit
 
-__all__ = ["Phase", "Stop", "StopController", "merged"]
+__all__ = ["Stop", "StopController", "StopPhase", "merged"]
 
 log = structlog.get_logger("rcp.safety")
-Phase = Literal["requested", "commanded", "confirmed"]
+StopPhase = Literal["requested", "commanded", "confirmed"]
 _NUMBER = re.compile(r"[-\d.]+")
 _PERIOD = 0.1  # s between two assertions of a latched stop
 _REMOTE_PERIODS = 10  # robots with their own gateway are asserted once per this many periods
@@ -77,7 +77,7 @@ class Stop:
         self.tasks: set[asyncio.Future[None]] = set()
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> StopPhase:
         """Its progress: `commanded` once the backend was called, `confirmed` by measurement only."""
         if self.confirmed is not None:
             return "confirmed"
@@ -236,7 +236,7 @@ class StopController:
             self._unsent(stop, error)
             raise
         stop.halted = True
-        stop.unit.note_halted(number)
+        stop.unit.loss.note_halt(number)
         self._judge(stop)
         if stop.confirmed is None and not stop.released:
             raise DeviceTimeout(f"{stop.unit.name} is not at rest: {stop.detail}")
@@ -278,7 +278,7 @@ class StopController:
             return
         for stop, number in zip(stops, numbers, strict=True):
             stop.halted = True
-            stop.unit.note_halted(number)
+            stop.unit.loss.note_halt(number)
             self._judge(stop)
 
     def _command(self, stop: Stop) -> None:

@@ -9,24 +9,16 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
-import structlog
 
 from rcp_kernel.access.visibility import names_in
 from rcp_kernel.clock import iso, now
 from rcp_kernel.contract.identity import Grants
-from rcp_kernel.errors import (
-    AdapterUnavailable,
-    Cancelled,
-    DeviceRejected,
-    EstopActive,
-    InternalError,
-    RcpError,
-    Refused,
-)
+from rcp_kernel.contract.paths import is_system
+from rcp_kernel.errors import Refused
 from rcp_kernel.sessions.long_value import plain
 from rcp_kernel.sessions.substitutes import unrecorded
 from rcp_kernel.spi import Progress
-from rcp_kernel.tree.entry import Entry, is_system
+from rcp_kernel.tree.entry import Entry
 from rcp_kernel.values import ANY, Encoding
 from rcp_kernel.wire import FINAL, NO_BODY, Body, Reply, Request, Status
 from rcp_protocol.trace import Trace, traced
@@ -39,17 +31,11 @@ __all__ = [
     "CommandListener",
     "CommandTable",
     "Continuation",
-    "LinkLost",
     "Record",
     "Work",
     "command_id",
-    "has_begun",
-    "is_unchanged",
-    "outcome_of",
-    "status_of",
 ]
 
-log = structlog.get_logger("rcp.commands")
 _RANDOM = 1024  # bytes
 _numbers: list[str] = []
 """Random numbers for ids, each used once."""
@@ -301,14 +287,6 @@ CommandListener = Callable[[Command, Record], None]
 """Hears of a step of a command when it is in its history."""
 
 
-class LinkLost(AdapterUnavailable):
-    """The link failed while a command or write was with the robot, which may have begun to act."""
-
-    status = "failed"
-    retryable = False
-    default_remedy = "Check the state of the robot before you send it again."
-
-
 def command_id() -> str:
     """Return the id of another command, which nobody can guess.
 
@@ -318,54 +296,3 @@ def command_id() -> str:
         random = os.urandom(_RANDOM)
         _numbers.extend(random[place : place + 8].hex() for place in range(0, _RANDOM, 8))
     return "cmd-" + _numbers.pop()
-
-
-def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
-    """Return the outcome of a command's task: its result, or the error sent to the client."""
-    error = None if task.cancelled() else task.exception()
-    fenced = isinstance(error, EstopActive) and command.cancelling is not None
-    if task.cancelled() or fenced:  # what it did last was fenced off by the stop that ended it
-        reason = command.cancelling or "the backend cancelled it"
-        return Cancelled(f"{command.path} was cancelled: {reason}", path=command.path)
-    if error is None:
-        return task.result()
-    if isinstance(error, RcpError):
-        return error
-    if isinstance(error, (ConnectionError, TimeoutError)):
-        return LinkLost(f"the link to the robot failed: {error or type(error).__name__}")
-    trace = command.trace.id
-    log.error(
-        "command_crashed", command=command.id, path=command.path, trace_id=trace, exc_info=error
-    )
-    failure = InternalError("the backend failed; see the gateway's log")
-    failure.trace_id = trace
-    return failure
-
-
-def has_begun(command: Command) -> bool:
-    """Return whether the robot is known to have acted on a command."""
-    return any(step.status == "in_progress" for step in command.history)
-
-
-def is_unchanged(error: BaseException) -> bool:
-    """Return whether an error means that the state of the robot is unchanged.
-
-    One that has the status `failed` is a refusal by its code only: its robot may have acted.
-    """
-    if isinstance(error, Refused):
-        return error.status != "failed"
-    return isinstance(error, DeviceRejected)
-
-
-def status_of(command: Command, error: RcpError) -> Status:
-    """A refusal by the robot before anything was seen to move is `rejected`, later it is `failed`."""
-    if isinstance(error, Cancelled):
-        return "cancelled"
-    # What a robot's own gateway calls `failed` had begun there, regardless of what was reported here.
-    refused = is_unchanged(error) and vars(error).get("status") != "failed"
-    # A cancel that fails is no refusal: the robot may have begun, and may go on.
-    return (
-        "rejected"
-        if refused and not has_begun(command) and command.cancelling is None
-        else "failed"
-    )

@@ -115,7 +115,7 @@ class SessionResume:
     def note(self, session: Session) -> None:
         """Store a session that its client knows, as it is now."""
         store = self._store
-        if not store.keeps or not session.greeted:
+        if not store.keeps or not session.resumable:
             return
         kept = StoredSession(
             fingerprint(session.secret),
@@ -134,7 +134,7 @@ class SessionResume:
 
     def subscribed(self, session: Session, subscription: SessionSubscription) -> None:
         """Keep a subscription of a session that its client knows."""
-        if not self._store.keeps or not session.greeted:
+        if not self._store.keeps or not session.resumable:
             return
         row = subscription.stored()
         if row is not None:
@@ -142,7 +142,7 @@ class SessionResume:
 
     def unsubscribed(self, session: Session, id_: str) -> None:
         """Delete a stored subscription."""
-        if self._store.keeps and session.greeted:
+        if self._store.keeps and session.resumable:
             self._store.put(_SUBSCRIPTIONS, f"{fingerprint(session.id)}/{id_}", None)
 
     def forget(self, session: Session) -> None:

@@ -144,7 +144,6 @@ class Session:
         "expiry",
         "expiry_check",
         "former",
-        "greeted",
         "id",
         "inflight",
         "missed",
@@ -156,6 +155,7 @@ class Session:
         "overflowed",
         "principal",
         "read_key",
+        "resumable",
         "rights",
         "secret",
         "shared",
@@ -200,8 +200,8 @@ class Session:
         self.cut: int | None = None
         """When the connection was lost, ns; None while there is one."""
         self.expiry: asyncio.TimerHandle | None = None
-        self.greeted = False
-        """Whether the client knows the session's id, so that it can resume it."""
+        self.resumable = False
+        """Whether the client may resume it: since a `hello`, it knows its id."""
         self.one_way = False
         """Whether its connection accepts no requests (SSE)."""
         self.former: str | None = None

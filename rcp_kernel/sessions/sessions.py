@@ -275,7 +275,7 @@ class Sessions:
             entry = command.entry
             if entry is not None and not entry.resource.outlives:
                 self._commands.cancel(command, "the session was disconnected")
-        if not session.greeted or self._shutdown.begun:
+        if not session.resumable or self._shutdown.begun:
             self.drop(session)
             return
         for subscription in session.subscriptions.values():

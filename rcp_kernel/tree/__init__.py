@@ -1,1 +1,1 @@
-"""The tree: resources with their samples, robots' stop groups and latches."""
+"""The tree: resources with their samples, robot units (what a stop stops as a whole) and latches."""

@@ -1,6 +1,7 @@
-"""Entries of the tree, the backends behind them, and their stop groups.
+"""Entries of the tree, the backends behind them, and the robots that a stop stops as a whole.
 
-They reference one another: an entry its backend and its stop group, both of these their entries.
+These three are one module because they reference one another: an entry its owner and its unit, both
+of these their entries.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ import time
 from collections import deque
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 from rcp_kernel.clock import Clock, now
@@ -26,29 +26,21 @@ from rcp_kernel.spi import (
     RobotLeaseRequest,
 )
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
-from rcp_kernel.tree.samples import Form, Sample, form_of, forms
+from rcp_kernel.tree.lost_command import LossRecord
+from rcp_kernel.tree.samples import Form, Listener, Sample, form_of, forms
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = [
-    "BEFORE",
     "Availability",
     "Entry",
-    "Listener",
-    "LostCommand",
     "Owner",
     "RobotUnit",
-    "is_system",
 ]
 
 Availability = Literal["starting", "ready", "degraded", "down"]
 _BY_SEVERITY = ("ready", "degraded", "starting", "down")
 _IDLE_HISTORY = 16  # samples stored of a resource without subscribers
 _HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
-
-
-def is_system(path: str) -> bool:
-    """Return whether a path is in the gateway's own branch."""
-    return path.startswith("/system/")
 
 
 class Owner(Protocol):
@@ -88,11 +80,11 @@ class Owner(Protocol):
 
     @property
     def units(self) -> list[RobotUnit]:
-        """The stop groups of the backend."""
+        """The robot units of the backend."""
         ...
 
     def unit(self, robot: str | None) -> RobotUnit:
-        """Return a stop group: one of its robots, or all of them."""
+        """Return a robot unit: one of its robots, or all of them."""
         ...
 
     @property
@@ -115,14 +107,6 @@ class Owner(Protocol):
 
     def state_changed(self) -> None:
         """Announce that the state of one of its robots may have changed."""
-        ...
-
-
-class Listener(Protocol):
-    """A receiver of an entry's samples."""
-
-    def offer(self, sample: Sample) -> None:
-        """Handle a new sample; must neither block nor raise."""
         ...
 
 
@@ -187,7 +171,7 @@ class Entry:
         self.resource = resource
         self.owner = owner
         self.unit = owner.unit(resource.robot)
-        """The stop group it belongs to."""
+        """The robot unit it belongs to."""
         self.tenant = tenant
         self.robot = robot
         self.kind: Kind = kind_of(resource.name)
@@ -301,24 +285,10 @@ class Entry:
             self.latest, self.ring, self._heard = old.latest, old.ring, old._heard
 
 
-BEFORE = -1
-"""Number of stops before a command of an earlier gateway began."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class LostCommand:
-    """A command that was lost with the link, or with an earlier gateway: the robot may still obey it."""
-
-    path: str
-    began: int
-    """Number of stops before it began."""
-
-
 class RobotUnit:
     """What an e-stop stops as a whole: all robots of a backend, or one that it can halt alone."""
 
     __slots__ = (
-        "_halted",
         "_latches",
         "_released",
         "_stopped",
@@ -331,7 +301,7 @@ class RobotUnit:
         "holds",
         "identity",
         "keys",
-        "lost",
+        "loss",
         "name",
         "own",
         "own_leases",
@@ -358,10 +328,8 @@ class RobotUnit:
         own = (self.name,) if robot is None else (self.name, owner.name)
         self.keys = (*own, self.identity, tenant)
         """The keys of all latches that hold it but the gateway's, the narrowest first."""
-        self.lost: LostCommand | None = None
-        """The latest lost command; its loss policy has not been applied yet."""
-        self._halted = BEFORE
-        """Number of stops before the newest halt that has reached it."""
+        self.loss = LossRecord()
+        """The command that it has lost with its link, if any."""
         self.usable_backend: Backend | None = None
         """The open backend, or None while there is none or this robot is down; set by the owner, as
         every request looks at it. Stops are sent regardless, by `backend`."""
@@ -424,22 +392,6 @@ class RobotUnit:
         """When the last of its `stops` was, by `time.monotonic`; -inf if none was in this run."""
         return self._stopped if self.robot is None else max(self._stopped, self.whole.stopped)
 
-    def note_lost(self, path: str, began: int) -> bool:
-        """Record that a command was lost which began after so many stops.
-
-        Return False, and do nothing, if a halt has reached the robot since.
-        """
-        if began < self._halted:
-            return False
-        self.lost = LostCommand(path, began)
-        return True
-
-    def note_halted(self, number: int) -> None:
-        """Record that a halt, sent after so many stops, has reached it: what began before is over."""
-        self._halted = max(self._halted, number)
-        if self.lost is not None and self.lost.began < self._halted:
-            self.lost = None
-
     def note_reset(self) -> None:
         """Forget a lost command unless the robot is out of reach.
 
@@ -448,7 +400,7 @@ class RobotUnit:
         has no operator until its link is restored.
         """
         if self.usable_backend is not None:
-            self.lost = None
+            self.loss.command = None
 
     @property
     def released(self) -> int:

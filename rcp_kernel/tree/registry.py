@@ -11,6 +11,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
 
 from rcp_kernel.clock import Clock
+from rcp_kernel.contract.paths import names_of
 from rcp_kernel.errors import PluginError, RcpError
 from rcp_kernel.model import Kind, Pattern, Resource, full_path, kind_of
 from rcp_kernel.tree.entry import Entry, Owner, RobotUnit
@@ -19,7 +20,6 @@ from rcp_kernel.values import value_type
 __all__ = ["Registry"]
 
 _WITHDRAWN = 10_000  # withdrawn paths whose sequence number is remembered
-_ROBOT = 4  # the part of a full path that names the robot, where a backend has one
 
 
 class Registry:
@@ -93,7 +93,7 @@ class Registry:
         for callback in self.on_state:
             callback()
 
-    def leases_told(self, unit: RobotUnit) -> None:
+    def leases_changed(self, unit: RobotUnit) -> None:
         """Announce that a robot's own gateway has reported the leases on it."""
         for callback in self.on_leases:
             callback(unit)
@@ -149,10 +149,10 @@ class Registry:
 
 
 def _may_own(owner: Owner, path: str) -> bool:
-    parts = path.split("/")  # "", "tenant", its name, the branch, and the robot or a name
-    if parts[1] != "tenant" or len(parts) <= _ROBOT or parts[2] != owner.tenant:
-        return False
-    return owner.robot is None or (parts[_ROBOT] == owner.robot and len(parts) > _ROBOT + 1)
+    names = names_of(path, owner.tenant)
+    if owner.robot is None:
+        return bool(names)
+    return len(names) > 1 and names[0] == owner.robot
 
 
 def _meet(prefix: str, place: str) -> bool:

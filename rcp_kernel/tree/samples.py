@@ -16,7 +16,17 @@ from rcp_kernel.values import ANY, Encoding, ValueType, is_long, to_plain, value
 from rcp_kernel.wire import Body, encode_frame
 from rcp_protocol.plain import is_map
 
-__all__ = ["NATIVE", "Fields", "Rendering", "Sample", "form_of", "forms", "masked", "project"]
+__all__ = [
+    "NATIVE",
+    "Fields",
+    "Listener",
+    "Rendering",
+    "Sample",
+    "form_of",
+    "forms",
+    "masked",
+    "project",
+]
 
 NATIVE = ("encoding: native",)
 """In place of the fields of a projection: the backend's own bytes."""
@@ -323,6 +333,14 @@ class Sample(Body):
         )
         self.entry.owner.fault(fault.message)
         return fault
+
+
+class Listener(Protocol):
+    """A receiver of a resource's samples."""
+
+    def offer(self, sample: Sample) -> None:
+        """Handle a new sample; must neither block nor raise."""
+        ...
 
 
 def masked(sample: Sample, shown: Callable[[Any], Any]) -> Sample | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterator
 
+from rcp_kernel.contract.paths import can_name_resource, names_of
 from rcp_kernel.errors import InvalidPath
 from rcp_kernel.model import BRANCHES, parse_path
 from rcp_kernel.tree.entry import Entry
@@ -16,7 +17,6 @@ from rcp_kernel.tree.registry import Registry
 __all__ = ["Scope"]
 
 _AFTER = chr(ord("/") + 1)  # ends what begins with a path and a "/" in a sorted list
-_ROBOT = 4  # segments of `/tenant/<tenant>/<robot>`, the empty one before the first `/` included
 
 
 class Scope:
@@ -30,16 +30,16 @@ class Scope:
     def __init__(self, text: str, tenant: str | None = None) -> None:
         self.text = parse_path(text, tenant)
         """The scope with its tenant written out."""
-        parts = self.text.split("/")
-        if parts[1] != "tenant" or len(parts) < 3:
+        _, root, *segments = self.text.split("/")
+        if root != "tenant" or not segments:
             raise _bad(text)
-        self.tenant = parts[2]
+        self.tenant, *below = segments
         self.robot: str | None = None
         """The robot, in every branch; None for a sub-tree of one branch or all."""
-        if len(parts) >= _ROBOT and parts[3] not in BRANCHES:
-            if len(parts) > _ROBOT:
+        if below and below[0] not in BRANCHES:
+            if len(below) > 1:
                 raise _bad(text)
-            self.robot = parts[3]
+            self.robot = below[0]
         self._below = self.text + "/"
 
     @property
@@ -51,8 +51,7 @@ class Scope:
         """Return whether a full path lies in the scope, whether or not it exists."""
         if self.robot is None:
             return path == self.text or path.startswith(self._below)
-        parts = path.split("/", 5)
-        return len(parts) > 4 and parts[1:3] == ["tenant", self.tenant] and parts[4] == self.robot
+        return names_of(path, self.tenant)[:1] == [self.robot]
 
     def overlaps(self, other: Scope) -> bool:
         """Return whether a path, existing or future, may lie in both."""
@@ -64,7 +63,7 @@ class Scope:
             return self.covers(other.text) or other.covers(self.text)
         robot, tree = (self, other) if self.robot is not None else (other, self)
         # A whole branch may hold a part of any robot; what lies deeper names the robot it is of.
-        return tree.text.count("/") <= 3 or robot.covers(tree.text)
+        return not can_name_resource(tree.text) or robot.covers(tree.text)
 
     def entries(self, registry: Registry) -> Iterator[Entry]:
         """Iterate over the resources in the scope; iteration in steps may miss new ones."""

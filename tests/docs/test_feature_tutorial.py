@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 import sys
 from types import ModuleType
+from typing import get_args
 
 from docs.pages import DOCS
+from rcp_kernel.contract.events import EventKind
 
 PAGE = (DOCS / "write-a-feature.md").read_text(encoding="utf-8")
 
@@ -22,3 +24,10 @@ def _module() -> ModuleType:
 
 
 TestSite = _module().TestSite
+
+
+def test_the_page_names_every_kind_of_event() -> None:
+    (listed,) = re.findall(
+        r"is an `EventKind` of that module:(.+?); or what a feature", PAGE, re.DOTALL
+    )
+    assert set(get_args(EventKind)) <= set(re.findall(r"`(\w+)`", listed))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import msgspec
 import pytest
@@ -16,12 +16,12 @@ from structlog.testing import capture_logs
 
 from kernel.world import BOUND, CONFIG, Client, Robot, World, prepared, world_of
 from offering import offer
-from rcp_gateway.features import active
+from rcp_gateway.features import ActiveFeature, active, make
 from rcp_gateway.server import prepare, running
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import load, parse
 from rcp_kernel.errors import ConfigError, Forbidden, PluginError
-from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot
+from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Guard, Slot
 from rcp_kernel.features.approval import APPROVALS
 from rcp_kernel.types import Twist
 from rcpd.reload import reload
@@ -36,13 +36,17 @@ class NoKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Nothing to configure."""
 
 
-class Noting:
+class Noting(Guard):
     """A guard that notes when it is asked, and does what a test says."""
 
     def __init__(self, name: str, slot: Slot, noted: list[str]) -> None:
         self.name, self.slot, self.noted = name, slot, noted
-        self.active = True
+        self.on = True
         self.act: Callable[[Call], None] = lambda _call: None
+
+    @property
+    def active(self) -> bool:
+        return self.on
 
     def admit(self, call: Call) -> None:
         self.noted.append(f"{self.name} admits {call.entry.path}")
@@ -135,7 +139,7 @@ async def test_guards_are_asked_by_slot_then_by_name_when_it_comes_in_and_when_i
 async def test_a_guard_that_is_not_active_is_not_asked_and_nobody_asks_one_about_a_stop() -> None:
     noted: list[str] = []
     idle, wakeful = Noting("idle", Slot.POLICY, noted), Noting("wakeful", Slot.POLICY, noted)
-    idle.active = False
+    idle.on = False
     await guarded(
         [idle, wakeful],
         {"type": "write", "path": "/actuator/drive", "body": {}},
@@ -362,3 +366,22 @@ async def test_a_reload_changes_the_keys_of_features_and_neither_adds_nor_remove
         assert {"part": "features"}.items() <= said[0].items()
         assert admission.other_guards == ()
         assert server.client_api.service(APPROVALS) is not None
+
+
+class Former:
+    """A guard as they were before `Guard` declared `idle`."""
+
+    slot = Slot.POLICY
+    active = True
+
+    def admit(self, call: Call) -> None: ...
+    def confirm(self, call: Call) -> None: ...
+
+
+def test_a_guard_that_lacks_what_is_read_of_it_says_so_at_the_start() -> None:
+    def former(_table: NoKeys, _host: FeatureHost) -> Feature:
+        return Feature(guard=Former())  # pyright: ignore[reportArgumentType] - what is refused
+
+    kind = FeatureKind("former", NoKeys, former)
+    with pytest.raises(PluginError, match=r"'former' has no `idle`; derive it from `.*\.Guard`"):
+        make([ActiveFeature(kind, NoKeys())], lambda _: cast("FeatureHost", None))

@@ -18,7 +18,16 @@ from rcp_gateway.server import running
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ModeForbids
-from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot, StatusPart
+from rcp_kernel.features import (
+    Call,
+    CommandObserver,
+    Feature,
+    FeatureHost,
+    FeatureKind,
+    Guard,
+    Slot,
+    StatusPart,
+)
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample
@@ -34,19 +43,22 @@ class NoKeys(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Nothing to configure."""
 
 
-class Zone:
+class Zone(Guard, CommandObserver):
     """A feature with all that one may have which watches over motion."""
 
     slot = Slot.MOTION_LIMIT
 
     def __init__(self, host: FeatureHost) -> None:
         self.host = host
-        self.active = True
-        self.idle = False
+        self.on = True
         self.closed = False
         self.broken = False
         self.heard: list[tuple[str, str]] = []
         self._more = asyncio.Event()
+
+    @property
+    def active(self) -> bool:
+        return self.on
 
     def hear(self, what: str, entry: Entry) -> None:
         self.heard.append((what, entry.path))
@@ -64,7 +76,8 @@ class Zone:
         if self.closed:
             raise ModeForbids("the zone is closed", path=call.entry.path)
 
-    confirm = admit
+    def confirm(self, call: Call) -> None:
+        self.admit(call)
 
     def foresee(self, _session: Session, entry: Entry, value: Any) -> None:
         if value == 12.0:
@@ -189,7 +202,7 @@ async def test_an_idle_guard_is_not_called_until_it_is_idle_no_more(
 async def test_a_feature_whose_guard_is_not_active_hears_nothing() -> None:
     async with zoned() as world:
         kernel, zone = world.server.gateway, world.zone
-        zone.active = False
+        zone.on = False
         kernel.reconfigure(kernel.settings.config)
         assert (await world.client().ask(**GO))["status"] == "completed"
         assert zone.heard == []

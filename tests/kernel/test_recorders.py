@@ -278,7 +278,7 @@ class Bystander(BlackBox):
             raise ZeroDivisionError
 
         names = ("sent", "took", "refused", "stopping", "rested")
-        return SimpleNamespace(**dict.fromkeys(names, broken))
+        return SimpleNamespace(writes_only=False, **dict.fromkeys(names, broken))
 
 
 async def test_a_bug_in_one_that_keeps_no_record_is_told_and_changes_nothing() -> None:

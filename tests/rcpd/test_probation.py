@@ -16,7 +16,7 @@ from configuration import configuration, key, table
 from rcp_gateway.server import Server
 from rcp_gateway.testing import ADMIN, eventually, serve
 from rcp_kernel.config.file import parse
-from rcp_kernel.contract.events import Event, Hear
+from rcp_kernel.contract.events import Event, EventHandler
 from rcp_kernel.errors import InvalidValue, PreconditionFailed
 from rcp_kernel.features.configuration import FileState
 from rcpd.cli import main
@@ -38,7 +38,7 @@ class _Gateway:
     def __init__(self, server: Server, path: Path) -> None:
         self.path, self.server, self.restarts = path, server, 0
         self.records: list[Event] = []
-        self.on_event: Hear = self._heard
+        self.on_event: EventHandler = self._heard
         server.gateway.event_bus.listeners.append(self)
         self.file = ConfigurationFile(path)
         self.file.start()

@@ -32,7 +32,7 @@ def check_door(config: AsgiConfig, client_api: ClientApi) -> None:
 
     :raises ConfigError: the configuration is unsafe.
     """
-    _check(config, closed=client_api.secure, served=client_api.serves)
+    _check(config, closed=client_api.requires_authentication, served=client_api.serves)
 
 
 def _check(config: AsgiConfig, *, closed: bool, served: bool) -> None:

@@ -134,7 +134,7 @@ class Events:
     def _leave(self, connection: Connection) -> None:
         session = connection.session
         connection.close(resumable=bool(session.subscriptions))  # after the end nobody resumes
-        after = self._client_api.limits.session_ttl if session.greeted else 0.0
+        after = self._client_api.limits.session_ttl if session.resumable else 0.0
         self._journals.forget(session.id, after)
 
     def close(self) -> None:

@@ -45,7 +45,7 @@ class HubLink:
         self._encoding, self._classifier = encoding, Classifier(encoding)
         self._paused = False
         """Whether updates stay in the outbox, where they are conflated."""
-        principal = _NOBODY if client_api.secure else client_api.authenticate(None)
+        principal = _NOBODY if client_api.requires_authentication else client_api.authenticate(None)
         self._known = principal is not _NOBODY
         self._connection = client_api.connect(principal, encoding, self.flush, wraps=True)
         self._pipe = Pipe(session, key, config.silence, self, allowance, self._note)

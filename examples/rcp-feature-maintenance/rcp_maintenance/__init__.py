@@ -10,7 +10,7 @@ from msgspec import Meta, Struct, convert, to_builtins
 from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.clock import iso, now
 from rcp_kernel.errors import ModeForbids, PreconditionFailed
-from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Slot, SystemResource
+from rcp_kernel.features import Call, Feature, FeatureHost, FeatureKind, Guard, Slot, SystemResource
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.types import Time
@@ -37,9 +37,8 @@ class Work(Struct, frozen=True):
     since: Time
 
 
-class Maintenance:
+class Maintenance(Guard):
     slot = Slot.POLICY
-    active = True
 
     def __init__(self, config: MaintenanceConfig, host: FeatureHost) -> None:
         self.config, self.host = config, host

@@ -12,7 +12,7 @@ from backends.mavlink.relay import relay
 from backends.mavlink.stopping import AT_REST, KIND, flying, until
 from rcp_gateway.testing._serve import serve_backend
 from rcp_kernel.errors import AdapterUnavailable
-from rcp_kernel.tree.entry import BEFORE, LostCommand
+from rcp_kernel.tree.lost_command import BEFORE
 from rcp_mavlink_sim.modes import Mode
 
 
@@ -131,8 +131,8 @@ async def test_one_that_appears_after_the_start_gets_what_its_lost_command_left_
         async with serve_backend(KIND, table) as served:
             await until(lambda: bool(served.lives), "the first is heard")
             # As it is noted for a command that an earlier gateway has left behind.
-            lost = LostCommand("/tenant/t/action/vehicle2/move_to", BEFORE)
-            served.supervisor.unit("vehicle2").lost = lost
+            loss = served.supervisor.unit("vehicle2").loss
+            loss.note("/tenant/t/action/vehicle2/move_to", BEFORE)
             link.cut = False
             await until(lambda: second.vehicle.flight.mode is Mode.RTL, "it returns")
 

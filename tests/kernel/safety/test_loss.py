@@ -129,7 +129,7 @@ async def test_a_command_that_fails_after_the_reset_was_not_lost() -> None:
         final = await admin.final(go)
         assert final["error"]["code"] == "adapter_unavailable"
         assert "on_loss" not in final["error"].get("details", {})
-        assert world.server.gateway.registry.entries[GO].unit.lost is None
+        assert world.server.gateway.registry.entries[GO].unit.loss.command is None
 
 
 async def test_an_estop_ends_a_recovery_that_is_being_tried(world: World) -> None:
@@ -141,7 +141,7 @@ async def test_an_estop_ends_a_recovery_that_is_being_tried(world: World) -> Non
     robot.lost = ""
     assert (await estop(admin))["status"] == "completed"
     assert (await estop(admin, reset=True))["status"] == "completed"
-    assert world.server.gateway.registry.entries[GO].unit.lost is None
+    assert world.server.gateway.registry.entries[GO].unit.loss.command is None
 
 
 async def test_a_new_command_takes_the_place_of_the_recovery(world: World) -> None:
@@ -266,7 +266,7 @@ async def test_a_command_lost_during_a_recovery_is_settled_by_another() -> None:
         back(robot)
         async with asyncio.timeout(BOUND):
             await robot.first.wait()
-            assert world.server.gateway.registry.entries[GO].unit.note_lost(GO, 0)
+            assert world.server.gateway.registry.entries[GO].unit.loss.note(GO, 0)
             robot.release.set()
             await robot.second.wait()
 
@@ -284,7 +284,7 @@ class Last(Twice):
 
     def lose(self) -> None:
         self.first.set()
-        self.unit().note_lost(GO, 0)
+        self.unit().loss.note(GO, 0)
         self.host.link_restored()
 
     unit: Callable[[], RobotUnit]
@@ -306,13 +306,13 @@ async def test_a_halt_that_is_answered_after_the_reset_ends_what_was_lost() -> N
         robot, admin = scripted(world), world.client(ADMIN)
         assert isinstance(robot, Late)
         unit = world.server.gateway.registry.entries[GO].unit
-        assert unit.note_lost(GO, 0)
+        assert unit.loss.note(GO, 0)
         stopped = admin.send(type="execute", path="/system/estop", body={})
         async with asyncio.timeout(BOUND):
             await robot.halting.wait()
         robot.host.report("nothing is heard of it", down=True)
         assert (await estop(admin, reset=True))["status"] == "completed"
-        assert unit.lost is not None
+        assert unit.loss.command is not None
         robot.answers.set()
         await admin.final(stopped)
-        assert unit.lost is None
+        assert unit.loss.command is None

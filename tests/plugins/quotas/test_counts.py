@@ -77,7 +77,7 @@ class Counts(RuleBasedStateMachine):
         async def work() -> None:
             client = self.clients.pop(data.draw(st.integers(0, len(self.clients) - 1)))
             session = client.connection.session
-            if session.greeted:
+            if session.resumable:
                 token = {"ann": ANN, "agent": AGENT, "bob": BOB}[session.principal.name]
                 self.away.append((token, session.id))
             client.connection.close()

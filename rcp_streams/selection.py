@@ -1,4 +1,4 @@
-"""Selection of the feed class for a path of a subscription."""
+"""Which kind of path subscription a path of a subscription needs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["new_path_subscription"]
 
 
 def new_path_subscription(subscription: Subscription, entry: Entry) -> PathSubscription:
-    """Create the feed of an entry."""
+    """Create the path subscription of an entry: the first of these kinds that it needs."""
     outbox = subscription.outbox
     view = subscription.view(entry)
     if view is not None:
