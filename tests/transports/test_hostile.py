@@ -66,7 +66,7 @@ async def test_an_estop_is_answered_while_a_hundred_dear_plans_are_sent(
     tmp_path: Path, plan: dict[str, Any], status: int
 ) -> None:
     with serving(tmp_path / "rcp.toml", ROVER) as url:
-        async with httpx.AsyncClient(base_url=url, timeout=30, headers=_as("admin")) as safe:
+        async with httpx.AsyncClient(base_url=url, timeout=60, headers=_as("admin")) as safe:
             # Before any stop: what is admitted at all is refused with 423 while the e-stop is latched.
             first = await safe.post(PLANS, json=plan, headers=_as("operator"))
             assert first.status_code == status, first.text

@@ -240,7 +240,7 @@ class Motor(Rig):
             loop.call_soon_threadsafe(done.set)
 
         self.bench.order(do)
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             await done.wait()
 
     @contextmanager

@@ -119,7 +119,7 @@ class Rover(Rig):
             loop.call_soon_threadsafe(done.set)
 
         self.bench.order(do)
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             await done.wait()
 
     async def velocity(self, forward: float, turn: float = 0.0) -> Any:

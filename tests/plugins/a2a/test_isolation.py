@@ -107,7 +107,7 @@ async def test_the_name_of_another_proof_is_somebody_else(gateway: Site) -> None
 
 async def test_calls_side_by_side_keep_their_callers(gateway: Site) -> None:
     headers = {key: VERSION | {"authorization": f"Bearer {key}"} for key in (KEY, KEY_BETA)}
-    async with httpx.AsyncClient(base_url=gateway.url, timeout=30.0) as client:
+    async with httpx.AsyncClient(base_url=gateway.url, timeout=60.0) as client:
 
         async def one(key: str) -> tuple[str, str]:
             answer = await client.post(

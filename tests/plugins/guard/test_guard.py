@@ -145,7 +145,7 @@ async def refusal(scene: Bench, velocity: float) -> str | None:
 
 async def quiet(scene: Bench, seconds: float = 1.0) -> None:
     """See that the guard sends nothing, once it has let go."""
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while True:
             before = len(scene.stops())
             await asyncio.sleep(seconds)

@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 if importlib.util.find_spec("rclpy") is None:
     pytest.skip("rclpy is not installed", allow_module_level=True)
 HEADER = "00010000"  # CDR, little-endian
-WAITS = 40.0  # s
+WAITS = 60.0  # s
 
 
 @pytest.fixture(autouse=True)

@@ -104,7 +104,7 @@ def solo(host: Host) -> ScriptedRobot:
 async def served() -> AsyncGenerator[Served]:
     async with serve(CONFIG, scripted(Fleet, "fleet"), scripted(solo, "solo")) as served:
         for supervisor in served.server.supervisors:
-            await asyncio.wait_for(supervisor.settled.wait(), 20)
+            await asyncio.wait_for(supervisor.settled.wait(), 60)
         yield served
 
 
@@ -306,7 +306,7 @@ async def test_a_thousand_robots_are_read_in_pages_and_steps(monkeypatch: Any) -
     config = CONFIG.replace('use = "solo"', 'use = "fleet"\nname = "second"')
     async with serve(config, scripted(make, "fleet")) as served:
         for supervisor in served.server.supervisors:
-            await asyncio.wait_for(supervisor.settled.wait(), 20)
+            await asyncio.wait_for(supervisor.settled.wait(), 60)
         client = served.client(ALPHA)
         found: list[str] = []
         body: dict[str, Any] = {"limit": 300}
