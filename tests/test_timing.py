@@ -56,6 +56,7 @@ def test_a_load_is_how_much_longer_the_slowest_work_took() -> None:
     for took in (0.002, 0.012, 0.004):
         load.note(took, 0.004)
     assert load.worst == pytest.approx(3.0)
+    assert load.allows(1.0, 0.5) == pytest.approx(2.0)
 
 
 def test_the_machines_own_load_is_measured() -> None:

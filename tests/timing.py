@@ -27,6 +27,10 @@ class Load:
     worst = 1.0
     """Its time, by the time that it takes on a machine that has none."""
 
+    def allows(self, bound: float, work: float = 0.2) -> float:
+        """Return a bound that holds some seconds of work, longer by what the load makes of those."""
+        return bound + (self.worst - 1.0) * work
+
     def note(self, took: float, work: float) -> None:
         """Note that so many seconds of the processor took so many seconds."""
         self.worst = max(self.worst, took / work)

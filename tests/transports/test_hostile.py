@@ -16,6 +16,7 @@ import pytest
 from hostility.cases import CASES, Case
 from hostility.scene import Worst, attacked, served
 from serving import ROVER, serving
+from timing import in_one_of_three_attempts, in_time
 
 pytestmark = pytest.mark.anyio
 COLD = "sensor.joint_states.position"
@@ -62,6 +63,7 @@ asyncio.run(main(*sys.argv[1:]))
 
 @pytest.mark.serial
 @pytest.mark.parametrize(("plan", "status"), DEAR)
+@in_one_of_three_attempts
 async def test_an_estop_is_answered_while_a_hundred_dear_plans_are_sent(
     tmp_path: Path, plan: dict[str, Any], status: int
 ) -> None:
@@ -88,8 +90,8 @@ async def test_an_estop_is_answered_while_a_hundred_dear_plans_are_sent(
                 assert stop.status_code == 200, stop.text
                 await asyncio.sleep(0.02)
             told = await flood
-        assert worst < IN_TIME
         assert told <= {status, 422, 423, 429, 503}
+        in_time(worst, IN_TIME)
 
 
 MANY = 10  # attackers at once

@@ -105,7 +105,7 @@ class Rover(Rig):
         turned = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
         return Place(pose.position.x, pose.position.y, math.remainder(turned, 2 * math.pi))
 
-    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 60.0) -> None:
         with anyio.fail_after(seconds):
             while not holds():  # noqa: ASYNC110  # a twin lives in a thread that tells nobody
                 await asyncio.sleep(0.002)

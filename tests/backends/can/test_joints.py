@@ -48,7 +48,7 @@ class Arm(Rig):
         self.twins = dict(zip(PROFILES, bench.twins, strict=True))
         self.axes = self.backend.axes
 
-    async def until(self, holds: Any, seconds: float = 20) -> None:
+    async def until(self, holds: Any, seconds: float = 60.0) -> None:
         with anyio.fail_after(seconds):
             while not holds():  # noqa: ASYNC110  # a twin lives in a thread that tells nobody
                 await asyncio.sleep(0.002)

@@ -53,7 +53,7 @@ async def line(name: str) -> AsyncGenerator[Bus]:
         await asyncio.wait((running,))
 
 
-def until(holds: Callable[[], object], seconds: float = 20) -> None:
+def until(holds: Callable[[], object], seconds: float = 60.0) -> None:
     """Wait in a thread of its own for what another thread does."""
     end = time.monotonic() + seconds
     while not holds():

@@ -18,7 +18,7 @@ from rcp_can.sim import Bench, make_twin
 from rcp_kernel.errors import ModeForbids
 
 
-async def until(holds: Any, seconds: float = 20) -> None:
+async def until(holds: Any, seconds: float = 60.0) -> None:
     with anyio.fail_after(seconds):
         while not holds():  # noqa: ASYNC110  # a peer lives in a thread that tells nobody
             await asyncio.sleep(0.005)

@@ -239,8 +239,8 @@ async def test_another_master_that_enables_a_stopped_drive_moves_it_for_a_moment
                 node.send(0x305, (3000).to_bytes(4, "little") + bytes(2))
                 await rig.until(lambda n=taken: len(rig.twin.commands) > n)
                 rig.backend.hold_stop(None)
-                await rig.until(lambda: rig.twin.state == "quick_stop", 5.0)
-            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 5.0)
+                await rig.until(lambda: rig.twin.state == "quick_stop")
+            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await stays_at_rest(rig)
         assert rig.twin.state != "enabled"
 
@@ -255,7 +255,7 @@ async def test_a_drive_that_another_master_pushes_is_stopped_again(profile: str)
         for _ in range(3):
             await rig.ordered(lambda: setattr(rig.twin.plant, "velocity", 3.0))
             rig.backend.hold_stop(None)
-            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 5.0)
+            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await stays_at_rest(rig)
 
 

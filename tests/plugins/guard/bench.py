@@ -18,8 +18,7 @@ SOON = "[safety]\nguard_bound = 1.0\n"  # or each test would wait for its guard 
 HERE = Path(__file__).parent
 BOUND = 90.0  # s that any wait of a test may take: three processes start, on a busy machine
 AFTER = 0.5  # s, the default of `guard_after`
-_MARGIN = 0.2  # s that it may take the guard to tell a device to stop, on a machine that has no other work
-WITHIN = AFTER + _MARGIN  # s in which a device is to be told to stop
+WITHIN = AFTER + 0.2  # s in which a device is to be told to stop
 
 
 class Child:
@@ -110,7 +109,7 @@ class Bench:
 
     def allows(self, bound: float) -> float:
         """Return a bound on the guard's time, longer by what the machine's other work makes of it."""
-        return bound + (self.load.worst - 1.0) * _MARGIN
+        return self.load.allows(bound)
 
     async def guard(self, state: str = "ready", **wanted: Any) -> dict[str, Any]:
         """Wait until the guard is in a state, and other facts as wanted; return all about it."""
