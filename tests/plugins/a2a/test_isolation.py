@@ -90,7 +90,7 @@ async def test_a_token_that_is_not_known_is_refused_over_both_bindings(gateway: 
 
 
 async def test_a_quota_holds_for_agents_too() -> None:
-    more = "[quotas.principal]\nrequests = 1.0\nburst = 2"
+    more = "[quotas.principal]\nrequests = 0.01\nburst = 2"
     async with agent(more=more) as site, caller(site) as client:
         answers = [await client.get("/a2a/tasks") for _ in range(4)]
         refused = [answer for answer in answers if answer.status_code == 429]
