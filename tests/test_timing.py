@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from typing import NoReturn
 
 import pytest
 
-from timing import in_one_of_three_attempts, in_time
+from timing import Load, in_one_of_three_attempts, in_time, measured_load
 
 pytestmark = pytest.mark.anyio
 
@@ -47,3 +48,21 @@ async def test_what_fails_for_another_reason_fails_at_once() -> None:
     with pytest.raises(AssertionError, match="the wrong way"):
         await attempt()
     assert tried == [1]
+
+
+def test_a_load_is_how_much_longer_the_slowest_work_took() -> None:
+    load = Load()
+    assert load.worst == 1.0
+    for took in (0.002, 0.012, 0.004):
+        load.note(took, 0.004)
+    assert load.worst == pytest.approx(3.0)
+    assert load.allows(1.0, 0.5) == pytest.approx(2.0)
+
+
+def test_the_machines_own_load_is_measured() -> None:
+    until = time.monotonic() + 60.0
+    with measured_load() as load:
+        while load.worst == 1.0:  # it is never exactly that
+            assert time.monotonic() < until
+            time.sleep(0.001)  # the other thread tells nobody
+    assert load.worst > 1.0

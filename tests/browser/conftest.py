@@ -90,7 +90,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Generator[Demo]:
 async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
     """Look at the demo's robots past the page, as the operator."""
     headers = {"authorization": f"Bearer {running.key}"}
-    async with httpx.AsyncClient(base_url=running.url, headers=headers, timeout=30) as client:
+    async with httpx.AsyncClient(base_url=running.url, headers=headers, timeout=60) as client:
         yield client
 
 

@@ -163,7 +163,7 @@ async def movers(many: int = 0) -> AsyncGenerator[Movers]:
     kind = BackendKind("mover", Parts, opened)
     async with serve(parse(text, "test"), kind, recent=recent) as served:
         made.url = next(f["url"] for f in served.server.status.transports if "url" in f)
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(60):
             await there.wait()
         yield made
 

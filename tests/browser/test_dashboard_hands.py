@@ -46,7 +46,7 @@ async def url() -> AsyncGenerator[str]:
 async def robot(url: str) -> AsyncGenerator[httpx.AsyncClient]:
     """Look at the rovers past the page."""
     headers = {"authorization": "Bearer key-of-ada-which-is-long"}
-    async with httpx.AsyncClient(base_url=url, headers=headers, timeout=30) as client:
+    async with httpx.AsyncClient(base_url=url, headers=headers, timeout=60) as client:
         await until(client, "/system/leases", lambda found: not found)
         yield client
 

@@ -23,7 +23,7 @@ async def robot(running: Demo) -> AsyncGenerator[httpx.AsyncClient]:
     """Make things go wrong past the page, as the operator; they are well again afterwards."""
     headers = {"authorization": f"Bearer {running.key}"}
     base = f"{running.url}/rcp/v1/context/tenant/alpha/service"
-    async with httpx.AsyncClient(base_url=base, headers=headers, timeout=10) as client:
+    async with httpx.AsyncClient(base_url=base, headers=headers, timeout=60) as client:
         yield client
         (await client.post("/clear_faults", params={"wait": 10})).raise_for_status()
 

@@ -205,7 +205,7 @@ async def test_what_was_detected_is_drawn_over_the_image_it_was_found_in(site: S
         page.locator(f"[data-testid=camera][data-path$='{side}/image']")
         for side in ("left", "right")
     )
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while await left.get_by_test_id("boxes").get_attribute("data-boxes") != "cone 91 %":
             site.tell("eyes", "left/image", header={"frame_id": "left"}, **image)
             site.tell("eyes", "right/image", header={"frame_id": "right"}, **image)

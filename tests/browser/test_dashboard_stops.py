@@ -33,7 +33,7 @@ async def gateway() -> AsyncGenerator[Movers]:
 async def robot(gateway: Movers) -> AsyncGenerator[httpx.AsyncClient]:
     """Look at the robots past the page."""
     headers = {"authorization": f"Bearer {key_of('ada')}"}
-    async with httpx.AsyncClient(base_url=gateway.url, headers=headers, timeout=30) as client:
+    async with httpx.AsyncClient(base_url=gateway.url, headers=headers, timeout=60) as client:
         yield client
 
 
@@ -194,7 +194,7 @@ async def test_who_drives_and_holds_or_stops_moves_it_again_by_a_new_press_alone
         page = await take(tab, "near")
         await page.evaluate("hold([0, -1, 0, 0], true)")
         await drives(page, "gamepad")
-        await asyncio.wait_for(near.driven.wait(), 20)
+        await asyncio.wait_for(near.driven.wait(), 60)
         await page.get_by_role("button", name="Hold near", exact=True).press("Enter")
         await stands(page)
         await expect(page.get_by_test_id("hold-status")).to_contain_text("near: at rest")

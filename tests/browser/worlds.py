@@ -110,7 +110,7 @@ async def world(
     async with serve(parse(text, "test"), BackendKind("teller", Who, opened)) as served:
         made.served = served
         made.url = next(f["url"] for f in served.server.status.transports if "url" in f)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             await there.wait()
         yield made
 
@@ -161,7 +161,7 @@ class Silent:
     async def another(self) -> None:
         """Wait until one more connection is opened, within the bound."""
         self._another.clear()
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             await self._another.wait()
 
     def close(self) -> None:

@@ -115,7 +115,7 @@ class Fuzz(Wire):
     async def survives(self, client: Client, data: bytes) -> None:
         """Send bytes, and see that the connection still serves."""
         await client.transmit_raw(data)
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             reply = await client.request("ping", id=f"ping-{next(COUNT)}")
         assert reply["status"] == "completed"
         check(client)

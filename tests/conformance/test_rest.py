@@ -109,7 +109,7 @@ class TestRest(Wire):
     ) -> None:
         id_ = (await http.post("/context/action/go", json=WAIT)).json()["command"]
         world.robot().release.set()
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             text = (await http.get(f"/commands/{id_}/events")).text
         assert text.count("event: reply") >= 2
         assert '"status":"completed"' in text.strip().splitlines()[-1]
@@ -144,7 +144,7 @@ class TestRest(Wire):
         self, world: World, http: httpx.AsyncClient
     ) -> None:
         assert (await http.get("/status")).json()["body"]["state"] == "degraded"
-        async with asyncio.timeout(20), http.stream("GET", "/status/events?count=1") as stream:
+        async with asyncio.timeout(60), http.stream("GET", "/status/events?count=1") as stream:
             text = "".join([line async for line in stream.aiter_lines()])
         assert '"state":"degraded"' in text
 
@@ -308,7 +308,7 @@ class TestRest(Wire):
         ids, seqs = list[str](), list[int]()
         for round_ in range(3):
             headers = {"Last-Event-ID": ids[-1]} if ids else {}
-            async with asyncio.timeout(20), http.stream("GET", query, headers=headers) as stream:
+            async with asyncio.timeout(60), http.stream("GET", query, headers=headers) as stream:
                 world.publish("sensor/level", *map(float, range(3)))
                 wanted = 3 * (round_ + 1) - 1  # cut before the last one: it comes again
                 async for line in stream.aiter_lines():

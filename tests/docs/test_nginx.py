@@ -55,7 +55,7 @@ def proxy(folder: Path, gateway: str) -> Generator[str]:
             yield f"http://127.0.0.1:{port}"
         finally:
             process.terminate()
-            process.communicate(timeout=30)
+            process.communicate(timeout=60)
 
 
 async def listens(url: str) -> bool:

@@ -30,7 +30,7 @@ from rcp_kernel.types import Twist, quantity
 from rcp_kernel.values import Encoding
 from rcp_store.store import Store
 
-BOUND = 20.0  # s any wait of a test may take, on a machine that is busy otherwise
+BOUND = 60.0  # s any wait of a test may take, on a machine that is busy otherwise
 
 
 class NoOptions(msgspec.Struct):

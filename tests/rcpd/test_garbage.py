@@ -33,7 +33,7 @@ async def test_everything_is_looked_through_only_at_rest(monkeypatch: pytest.Mon
         assert gc.get_freeze_count() > 0
         gc.callbacks.append(told)
         try:
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 await unmoved.wait()
                 assert not collected.is_set()
                 moving = False

@@ -69,7 +69,7 @@ def test_a_gateway_says_that_it_is_ready_turns_and_stops(address: str, tmp_path:
             heard_until(heard, "WATCHDOG=1")
             process.send_signal(signal.SIGTERM)
             assert "STOPPING=1" in heard_until(heard, "STOPPING=1")
-            process.communicate(timeout=30)
+            process.communicate(timeout=60)
             assert process.returncode == 0
         finally:
             process.kill()

@@ -19,7 +19,7 @@ from rcp_kernel.model import Resource
 from rcp_kernel.spi import BaseBackend, Host, Progress
 from rcp_kernel.types import Pose, quantity
 
-BOUND = 20.0  # s any wait of a test may take
+BOUND = 60.0  # s any wait of a test may take
 KEY = "operator-of-this-test"
 ROBOTS = (
     backend()

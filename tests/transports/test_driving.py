@@ -24,7 +24,7 @@ from rcp_kernel.values import Encoding
 from rcp_sim import SimBackend
 
 pytestmark = pytest.mark.anyio
-BOUND = 20.0  # s that any wait may take
+BOUND = 60.0  # s that any wait may take
 VALID_FOR = 0.3  # s
 MARGIN = 0.1  # s after which the rover stands still, once nobody's word is in force
 SPEED = 0.05  # m/s, from which it takes 20 ms to brake

@@ -1,7 +1,7 @@
 """A proof that ends, ends what it opened: over WebSocket, event streams and HTTP, on real sockets.
 
 A token is taken back by `rcpd token revoke`, the `exp` of a JWT passes, a client certificate comes
-to its `notAfter`: each ends the streams, subscriptions, waiting answers and leases of its owner on
+to its `notAfter`, by the gateway's clock, which is put forward: each ends the streams, subscriptions, waiting answers and leases of its owner on
 every transport, and the robot that was driven is brought to rest.
 """
 
@@ -27,7 +27,7 @@ from configuration import backend, key, listener, table, tls
 from issuer import AUDIENCE, Key
 from issuer import Issuer as Signer
 from rcp_gateway.log import configure
-from rcp_gateway.testing import ScriptedRobot, Served, eventually, scripted, serve
+from rcp_gateway.testing import ScriptedRobot, Served, SteppedClock, eventually, scripted, serve
 from rcp_kernel.config.file import parse
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host
@@ -35,8 +35,8 @@ from rcp_kernel.types import Twist, quantity
 from rcp_store.tokens import TokenFile
 
 pytestmark = pytest.mark.anyio
-BOUND = 30.0  # s
-LIFE = 4  # s that what expires is good for: enough to begin everything
+BOUND = 60.0  # s
+LIFE = 600  # s that what expires is good for
 CONTEXT = "/rcp/v1/context"
 FAST = {"linear": {"x": 0.5}}
 ENDED = "subscription_ended"
@@ -65,12 +65,19 @@ RESOURCES = (
 )
 
 
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the gateway see soon that its clock was set."""
+    monkeypatch.setattr("rcp_kernel.sessions.credential_expiry._LOOK", 0.05)
+
+
 class Place:
     """A gateway with two robots, and somebody whose proof is about to end."""
 
     def __init__(self, kind: str, folder: Path) -> None:
         self.kind = kind
         self.folder = folder
+        self.time = SteppedClock()
         self.ca = Authority(folder)
         self.signer = Signer(1)
         self.signer.keys["k1"] = Key("k1", "ES256")
@@ -105,7 +112,9 @@ class Place:
         if self.kind == "token":
             with closing(TokenFile(self.folder / "store.db")) as table:
                 _, self.token = table.create("ann", (("*", ("operator",)),), None)
-        async with serve(parse(self.config.read_text(), "test"), scripted(make)) as served:
+        async with serve(
+            parse(self.config.read_text(), "test"), scripted(make), clock=self.time.clock
+        ) as served:
             self.url = next(f["url"] for f in served.server.status.transports if "url" in f)
             if self.kind == "jwt":
                 self.token = self.signer.token(exp=int(time.time()) + LIFE, sub="ann")
@@ -114,7 +123,7 @@ class Place:
             yield served
 
     async def end(self) -> None:
-        """End the proof, if time does not."""
+        """Take the token back, or let the time of what expires pass."""
         if self.kind == "token":
             program = Path(sys.executable).parent / "rcpd"
             words = ("token", "revoke", "ann", "--config", str(self.config))
@@ -125,6 +134,8 @@ class Place:
                 stdout=asyncio.subprocess.DEVNULL,
             )
             assert await done.wait() == 0
+        else:
+            self.time.adjust(LIFE + 1)
 
     @property
     def afterwards(self) -> str:

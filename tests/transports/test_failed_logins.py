@@ -20,6 +20,12 @@ pytestmark = pytest.mark.anyio
 PARAM = "/rcp/v1/context/tenant/alpha/param/limit"
 
 
+@pytest.fixture(autouse=True)
+def slow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have an address recover from none of its failures while a test runs."""
+    monkeypatch.setattr("rcp_kernel.access.auth_throttle._PERIOD", 60_000.0)
+
+
 def bearer(token: str) -> dict[str, str]:
     return {"authorization": f"Bearer {token}"}
 

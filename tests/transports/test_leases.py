@@ -22,7 +22,7 @@ from rcp_kernel.values import Encoding
 from transports.robot import until
 
 pytestmark = pytest.mark.anyio
-BOUND = 40.0  # s a whole test may take
+BOUND = 60.0  # s a whole test may take
 C = TypeVar("C", bound=Client)
 AGENT = "agent-of-this-test"
 LEVEL = "/tenant/alpha/sensor/level"

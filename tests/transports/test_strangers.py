@@ -99,7 +99,7 @@ async def test_who_may_command_without_proof_may_send_what_that_takes() -> None:
 @pytest.mark.parametrize("method", ["PUT", "POST"])
 async def test_over_http_a_stranger_is_bound_too(gateway: Site, method: str) -> None:
     path = "/rcp/v1/messages" if method == "POST" else "/rcp/v1/context/param/text"
-    async with httpx.AsyncClient(base_url=gateway.url, timeout=20.0) as client:
+    async with httpx.AsyncClient(base_url=gateway.url, timeout=60.0) as client:
         for key, status in ((None, 413), (KEY, 200)):
             headers = {} if key is None else {"authorization": f"Bearer {key}"}
             content = write() if method == "POST" else json.dumps(LONG).encode()

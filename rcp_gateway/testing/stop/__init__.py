@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import pytest
 
 from rcp_gateway.testing._client import Message
-from rcp_gateway.testing._suite import eventually
+from rcp_gateway.testing._suite import BOUND, eventually
 from rcp_gateway.testing.backend._base import Robot
 from rcp_gateway.testing.stop._attempts import Attempts
 from rcp_gateway.testing.stop._interleavings import InterleavingTests
@@ -108,7 +108,7 @@ class StopSuite(InterleavingTests):
             assert robots, "nothing is latched"
             return all(robot["state"] == "confirmed" for robot in robots.values())
 
-        await eventually(confirmed, "the stop is confirmed", 10.0 + self.stop_within)
+        await eventually(confirmed, "the stop is confirmed", BOUND + self.stop_within)
         await admin.close()
 
     async def _stays_at_rest(self, case: Situation, robot: Robot) -> None:

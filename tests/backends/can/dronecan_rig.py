@@ -26,7 +26,7 @@ class Field(Rig):
         super().__init__(rig.backend, rig.host)
         self.bench, self.twins, self.channel = bench, bench.twins, channel
 
-    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 60.0) -> None:
         with anyio.fail_after(seconds):
             while not holds():  # noqa: ASYNC110  # twins live in a thread that tells nobody
                 await asyncio.sleep(0.002)

@@ -105,12 +105,12 @@ class RecordingHost:
     def events(self, name: str) -> list[Any]:
         return self.samples.get(name, [])
 
-    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 60.0) -> None:
         with anyio.fail_after(seconds):
             while not holds():
                 await self.published.wait()
 
-    async def published_as(self, name: str, seconds: float = 20, **facts: Any) -> Any:
+    async def published_as(self, name: str, seconds: float = 60.0, **facts: Any) -> Any:
         """Wait until the newest value has these facts, and return it."""
 
         def holds() -> bool:
@@ -145,7 +145,7 @@ class Rig:
         value = None if plain is None else self.typed(name, plain)
         return self.backend.execute(name, value, self.progress)
 
-    async def ran(self, name: str, plain: Any = None, seconds: float = 20) -> Any:
+    async def ran(self, name: str, plain: Any = None, seconds: float = 60.0) -> Any:
         with anyio.fail_after(seconds):
             return to_plain(await self.execute(name, plain))
 
@@ -178,7 +178,7 @@ class Node:
     def bus_off(self) -> None:
         self.send(0x40, bytes(8), is_error_frame=True, is_extended_id=False)
 
-    async def hears(self, wanted: Callable[[can.Message], object], seconds: float = 20) -> Any:
+    async def hears(self, wanted: Callable[[can.Message], object], seconds: float = 60.0) -> Any:
         """Wait for the first frame that is wanted."""
         with anyio.fail_after(seconds):
             while True:
@@ -225,7 +225,7 @@ class Motor(Rig):
         self.bench, self.twin, self.channel = bench, bench.twins[0], channel
         self.axis = self.backend.axes["m"]
 
-    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 60.0) -> None:
         with anyio.fail_after(seconds):
             while not holds():  # noqa: ASYNC110  # a twin lives in a thread that tells nobody
                 await asyncio.sleep(0.002)
@@ -240,7 +240,7 @@ class Motor(Rig):
             loop.call_soon_threadsafe(done.set)
 
         self.bench.order(do)
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             await done.wait()
 
     @contextmanager
@@ -251,7 +251,7 @@ class Motor(Rig):
         real = bus.send
 
         def send(message: can.Message, timeout: float | None = None) -> None:
-            gate.wait(20)
+            gate.wait(60)
             real(message, timeout)
 
         bus.send = send
@@ -269,7 +269,7 @@ class Motor(Rig):
         real, loop = bus.recv, asyncio.get_running_loop()
 
         def receive(timeout: float | None = None) -> can.Message | None:
-            gate.wait(20)
+            gate.wait(60)
             taken = threading.Event()
             loop.call_soon_threadsafe(taken.set)
             taken.wait(1)  # until the event loop has taken the one before

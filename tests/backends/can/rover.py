@@ -105,7 +105,7 @@ class Rover(Rig):
         turned = 2 * math.atan2(pose.orientation.z, pose.orientation.w)
         return Place(pose.position.x, pose.position.y, math.remainder(turned, 2 * math.pi))
 
-    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 60.0) -> None:
         with anyio.fail_after(seconds):
             while not holds():  # noqa: ASYNC110  # a twin lives in a thread that tells nobody
                 await asyncio.sleep(0.002)
@@ -119,7 +119,7 @@ class Rover(Rig):
             loop.call_soon_threadsafe(done.set)
 
         self.bench.order(do)
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             await done.wait()
 
     async def velocity(self, forward: float, turn: float = 0.0) -> Any:

@@ -72,7 +72,7 @@ async def running() -> AsyncGenerator[Wheels]:
     }
     with Bench(line, [make_twin("odrive", node) for node in NODES.values()]) as bench:
         async with serve_backend(KIND, table) as served:
-            await asyncio.wait_for(served.supervisor.settled.wait(), 20)
+            await asyncio.wait_for(served.supervisor.settled.wait(), 60)
             with Node(name) as node:
                 yield Wheels(served.client(OPERATOR), bench, node)
 

@@ -30,7 +30,7 @@ class Bed:
 
     async def ask(self, operation: str, name: str, body: Any = None, **more: Any) -> Any:
         return await self.client.request(
-            operation, f"/tenant/t/{name}", body=body, within=20.0, **more
+            operation, f"/tenant/t/{name}", body=body, within=60.0, **more
         )
 
     async def done(self, name: str, body: Any = None) -> Any:
@@ -43,7 +43,7 @@ class Bed:
         assert "error" in reply, reply
         return reply["error"]["code"]
 
-    async def until(self, holds: Callable[[], object], seconds: float = 20) -> None:
+    async def until(self, holds: Callable[[], object], seconds: float = 60.0) -> None:
         with anyio.fail_after(seconds):
             while not holds():  # noqa: ASYNC110  # a twin lives in a thread that tells nobody
                 await asyncio.sleep(0.003)
@@ -179,7 +179,7 @@ async def test_an_e_stop_is_a_quick_stop_and_nothing_moves_until_it_is_reset() -
             type="execute", path="/tenant/t/action/m/move_to", body={"position": 50.0}
         )
         await motor.until(lambda: motor.twin.plant.velocity > 5.0)
-        stopped = await motor.client.request("execute", "/system/estop", body={}, within=20.0)
+        stopped = await motor.client.request("execute", "/system/estop", body={}, within=60.0)
         assert stopped["status"] == "completed", stopped
         reply = await motor.client.final(id_, 20.0)
         assert reply["status"] in ("failed", "cancelled"), reply

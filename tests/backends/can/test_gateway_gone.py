@@ -19,6 +19,7 @@ import pytest
 from backends.can.loopback import group, line
 from backends.can.rig import MOTORS, channel, motor, opened
 from rcp_can.sim import Bench, Twin, make_twin
+from timing import measured_load
 
 TESTS = Path(__file__).parents[2]
 WATCHED = {"cia402": 1.0, "damiao": 1.2, "cybergear": 1.2, "moteus": 1.2, "vesc": 3.0}
@@ -39,7 +40,7 @@ async def gateway(profile: str) -> AsyncGenerator[tuple[Any, Twin]]:
         )
         try:
             assert child.stdout is not None
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(60):
                 while (heard := await child.stdout.readline()) != b"turning\n":
                     assert heard, "the gateway ended early"
             yield child, twin
@@ -57,15 +58,16 @@ async def test_a_drive_with_a_watchdog_comes_to_rest_without_its_gateway(
 ) -> None:
     async with gateway(profile) as (child, twin):
         assert twin.plant.velocity > 1.0
-        os.kill(child.pid, how)
-        began = time.monotonic()
-        with anyio.fail_after(10):
-            while abs(twin.plant.velocity) > 0.05:  # noqa: ASYNC110  # a thread turns it
-                await asyncio.sleep(0.002)
-        took = time.monotonic() - began
+        with measured_load() as load:
+            os.kill(child.pid, how)
+            began = time.monotonic()
+            with anyio.fail_after(60):
+                while abs(twin.plant.velocity) > 0.05:  # noqa: ASYNC110  # a thread turns it
+                    await asyncio.sleep(0.002)
+            took = time.monotonic() - began
         record_property("seconds_to_rest", round(took, 3))
         print(f"{profile} {how.name}: at rest after {took:.3f} s")  # noqa: T201
-        assert took < WATCHED[profile]
+        assert took < load.allows(WATCHED[profile])
         stood = twin.plant.position
         for _ in range(100):
             assert abs(twin.plant.velocity) < 0.05
@@ -95,7 +97,7 @@ async def test_the_frames_of_the_plan_stop_a_drive_that_turns(profile: str) -> N
     twin = make_twin(profile, MOTORS[profile]["node"])
     with Bench(line(name), [twin]) as bench:
         bench.order(lambda: turn(twin))
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             while twin.plant.velocity < 1.0:  # noqa: ASYNC110
                 await asyncio.sleep(0.002)
         arguments = dict(plan.data["bus"])
@@ -104,11 +106,12 @@ async def test_the_frames_of_the_plan_stop_a_drive_that_turns(profile: str) -> N
         )
         try:
             began = time.monotonic()
-            with anyio.fail_after(20):
+            with measured_load() as load, anyio.fail_after(60):
                 while abs(twin.plant.velocity) > 0.05:
                     replay(guard, plan)
                     await asyncio.sleep(plan.period)
-            assert time.monotonic() - began < 0.5
+                took = time.monotonic() - began
+            assert took < load.allows(0.5)
             stood = twin.plant.position
             for _ in range(10):
                 replay(guard, plan)

@@ -119,7 +119,7 @@ async def test_a_halt_is_a_quick_stop_and_nothing_moves_after_it(profile: str) -
         await rig.enable()
         await rig.write("actuator/m/velocity", 5.0)
         await rig.until(lambda: rig.twin.plant.velocity > 4.5)
-        with anyio.fail_after(5):
+        with anyio.fail_after(60):
             await rig.backend.halt()
         assert abs(rig.twin.plant.velocity) < 0.1
         await asyncio.sleep(0.1)
@@ -136,7 +136,7 @@ async def test_a_cancelled_move_has_come_to_rest_before_it_ends(profile: str) ->
         with pytest.raises(ModeForbids, match="driven by"):
             await rig.write("actuator/m/velocity", 1.0)
         moving.cancel()
-        await asyncio.wait((moving,), timeout=20)
+        await asyncio.wait((moving,), timeout=60)
         assert moving.cancelled()
         assert abs(rig.twin.plant.velocity) < 0.1
         assert rig.twin.plant.position < 7.0
@@ -192,7 +192,7 @@ async def test_a_fault_is_told_by_name_ends_the_move_and_is_cleared_without_movi
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
         await rig.ordered(rig.twin.break_down)
         with pytest.raises((ModeForbids, DeviceRejected), match=r"no longer enabled|2310"):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         state = await rig.host.published_as("sensor/m/state", state="fault")
         assert any(word in str(state.faults) for word in ("over-current", "2310", "driver_fault"))
         with pytest.raises(ModeForbids, match="fault") as caught:
@@ -241,7 +241,7 @@ async def test_a_drive_that_boots_in_motion_is_not_set_going_again(profile: str)
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
         await rig.ordered(rig.twin.boot)
         with pytest.raises((ModeForbids, AdapterUnavailable)):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         await rig.host.until(lambda: {"reset", "switched_off"} & set(rig.faults()))
         await asyncio.sleep(0.2)
         assert not rig.twin.enabled

@@ -126,7 +126,7 @@ async def test_over_the_gateway_bounds_and_rights_are_kept(tmp_path: Path) -> No
 
             async def ask(operation: str, path: str, body: Any = None) -> Any:
                 found = f"/tenant/t/param/io/{path}"
-                return await client.request(operation, found, body=body, within=20.0)
+                return await client.request(operation, found, body=body, within=60.0)
 
             assert (await ask("write", "trim", 4))["body"] == 4
             assert (await ask("read", "trim"))["body"] == 4

@@ -53,7 +53,7 @@ async def line(name: str) -> AsyncGenerator[Bus]:
         await asyncio.wait((running,))
 
 
-def until(holds: Callable[[], object], seconds: float = 20) -> None:
+def until(holds: Callable[[], object], seconds: float = 60.0) -> None:
     """Wait in a thread of its own for what another thread does."""
     end = time.monotonic() + seconds
     while not holds():
@@ -196,7 +196,7 @@ async def test_we_drive_the_mock_of_odrive_can() -> None:
         assert moved["position"] == pytest.approx(6.28, abs=0.1)
         assert mock.odrive.model.setpoint == pytest.approx(1.0, abs=0.01)
         await rig.write("actuator/m/velocity", math.pi)
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             while abs(mock.odrive.model.setpoint - 0.5) > 0.01:  # noqa: ASYNC110
                 await asyncio.sleep(0.02)
         await rig.backend.halt()
@@ -216,7 +216,7 @@ async def test_the_official_moteus_library_drives_our_twin() -> None:
         device = moteus.PythonCan(interface="virtual", channel=name)
         drive = moteus.Controller(id=1, transport=device)
         try:
-            with anyio.fail_after(20):
+            with anyio.fail_after(60):
                 await drive.set_stop()
                 found: Any = await drive.query()
                 assert found.values[moteus.Register.MODE] == moteus.Mode.STOPPED

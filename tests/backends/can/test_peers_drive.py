@@ -18,7 +18,7 @@ from rcp_can.sim import Bench, make_twin
 from rcp_kernel.errors import ModeForbids
 
 
-async def until(holds: Any, seconds: float = 20) -> None:
+async def until(holds: Any, seconds: float = 60.0) -> None:
     with anyio.fail_after(seconds):
         while not holds():  # noqa: ASYNC110  # a peer lives in a thread that tells nobody
             await asyncio.sleep(0.005)
@@ -56,7 +56,7 @@ async def test_we_drive_a_drive_on_durand_which_maps_our_pdos_and_tells_by_sync(
         assert drive.state == "run"
         await rig.write("actuator/m/velocity", 3.0)
         await until(lambda: abs(drive.plant.velocity - 3.0) < 0.1)
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             await rig.backend.halt()
         assert drive.state == "quick"
         assert abs(drive.plant.velocity) < 0.1
@@ -93,7 +93,7 @@ async def test_the_driver_of_odrive_can_drives_our_twin() -> None:
     with Bench(can.Bus(name, "virtual", ignore_config=True), [twin]):
         line = can.Bus(name, "virtual", ignore_config=True)
         drive = ODriveCAN(2, line)
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             await drive.start()
             drive.check_alive()
             drive.check_errors()

@@ -170,7 +170,7 @@ async def test_a_wheel_lost_in_a_move_fails_it_and_says_which() -> None:
         await rig.until(lambda: rig.truth.moving[0] > 0.4)
         rig.left.silent = True
         with pytest.raises(LOST, match="left"):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         await rig.until(lambda: abs(rig.right.plant.velocity) < 0.1)
 
 
@@ -299,7 +299,7 @@ async def test_a_cancelled_move_has_braked_when_it_ends() -> None:
         await rig.until(lambda: rig.truth.moving[0] > 0.4)
         moving.cancel()
         with pytest.raises(asyncio.CancelledError):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         assert rig.truth.still()
         await rig.velocity(0.2)  # and the wheels are free again
         await rig.until(lambda: rig.truth.moving[0] > 0.15)
@@ -312,13 +312,13 @@ async def test_a_move_that_is_cancelled_as_something_else_ends_it_has_braked_whe
         await rig.velocity(0.0)
         moving.cancel()
         with pytest.raises(asyncio.CancelledError):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         assert rig.truth.still()
 
 
 async def test_a_velocity_that_is_renewed_right_before_each_set_point_is_reached() -> None:
     async with rover() as rig:
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             while rig.truth.moving[0] < 0.45:
                 await rig.velocity(0.5)
                 await asyncio.sleep(0)
@@ -332,7 +332,7 @@ async def test_a_velocity_while_a_cancelled_move_brakes_is_not_stopped_by_it() -
         moving.cancel()
         await rig.until(lambda: axes["left"].leaving)
         await rig.velocity(0.4)
-        await asyncio.wait((moving,), timeout=20)
+        await asyncio.wait((moving,), timeout=60)
         assert moving.cancelled()
         assert not any(axes[name].stopped for name in ("left", "right"))
         await rig.until(lambda: rig.truth.moving[0] == pytest.approx(0.4, abs=0.05))
@@ -346,7 +346,7 @@ async def test_a_velocity_of_zero_ends_the_move() -> None:
             await rig.velocity(0.2)
         await rig.velocity(0.0)
         with pytest.raises(ModeForbids, match="velocity of zero"):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         await rig.until(rig.truth.still)
 
 
@@ -357,7 +357,7 @@ async def test_a_jammed_wheel_ends_the_move_as_failed() -> None:
         for plant in (rig.left.plant, rig.right.plant):  # too weak for what is in its way
             plant.torque_limit, plant.stiction = 0.0, 1.0
         with pytest.raises(DeviceRejected):
-            await asyncio.wait_for(moving, 40)
+            await asyncio.wait_for(moving, 60)
         await rig.until(rig.truth.still)
 
 
@@ -368,7 +368,7 @@ async def test_a_turn_that_is_jammed_ends_the_move_as_failed() -> None:
         for plant in (rig.left.plant, rig.right.plant):
             plant.torque_limit, plant.stiction = 0.0, 1.0
         with pytest.raises(DeviceRejected, match="no progress"):
-            await asyncio.wait_for(moving, 40)
+            await asyncio.wait_for(moving, 60)
 
 
 async def test_one_who_drives_a_wheel_and_one_who_drives_the_robot_do_not_mix() -> None:
@@ -387,18 +387,18 @@ async def test_one_who_drives_a_wheel_and_one_who_drives_the_robot_do_not_mix() 
             await rig.velocity(0.3)
         assert abs(rig.right.plant.velocity) < 0.1
         turning.cancel()
-        await asyncio.wait((turning,), timeout=20)
+        await asyncio.wait((turning,), timeout=60)
 
 
 async def test_a_halt_in_a_move_stops_both_wheels() -> None:
     async with rover() as rig:
         moving = rig.moving(5.0)
         await rig.until(lambda: rig.truth.moving[0] > 0.4)
-        with anyio.fail_after(10):
+        with anyio.fail_after(60):
             await rig.backend.halt()
         assert rig.truth.still()
         with pytest.raises(ModeForbids, match="halted"):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         assert rig.left.state == rig.right.state == "quick_stop"
 
 
@@ -428,7 +428,7 @@ async def test_a_reset_stops_the_arm_of_a_robot_that_has_lost_a_wheel() -> None:
             await rig.ran("service/enable")
             goal = {"positions": {"lift": 500.0}}
             moving = asyncio.ensure_future(rig.execute("action/move_joints", goal))
-            with anyio.fail_after(20):
+            with anyio.fail_after(60):
                 while mast.plant.velocity < 2.0:  # noqa: ASYNC110  # a twin tells nobody
                     await asyncio.sleep(0.01)
             bench.twins[0].silent = True
@@ -436,7 +436,7 @@ async def test_a_reset_stops_the_arm_of_a_robot_that_has_lost_a_wheel() -> None:
             with pytest.raises(AdapterUnavailable):
                 await rig.ran("service/reset_system")
             with pytest.raises(ModeForbids, match="a reset ended the move"):
-                await asyncio.wait_for(moving, 20)
+                await asyncio.wait_for(moving, 60)
             assert abs(mast.plant.velocity) < 0.1
 
 

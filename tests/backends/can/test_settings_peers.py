@@ -25,7 +25,7 @@ async def test_the_official_moteus_library_reads_what_we_wrote_and_we_what_it_wr
         drive = moteus.Controller(id=1, transport=device)
         stream = moteus.Stream(drive, use_flow_control=False)
         try:
-            with anyio.fail_after(20):
+            with anyio.fail_after(60):
                 await rig.ran("action/m/load_settings", {"text": "servo.max_current_A 12.5"})
                 theirs = await stream.command(b"conf enumerate")
                 ours = await rig.ran("service/m/dump_settings")

@@ -81,7 +81,7 @@ async def test_a_twin_in_a_process_of_its_own_is_driven_over_multicast() -> None
     twins = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     try:
         assert twins.stdout is not None
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(60):
             assert (await twins.stdout.readline()).startswith(b"1 drives on")
         async with opened({"buses": {"can0": bus}, "motors": motors, "grace": 10.0}) as rig:
             assert rig.host.reports == []

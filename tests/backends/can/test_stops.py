@@ -92,7 +92,7 @@ async def test_a_move_whose_feedback_fails_ends_with_that_reason(profile: str) -
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
         rig.twin.blind = True
         with pytest.raises(DeviceTimeout, match="feedback lost"):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         assert rig.twin.plant.position < 8.0
 
@@ -239,8 +239,8 @@ async def test_another_master_that_enables_a_stopped_drive_moves_it_for_a_moment
                 node.send(0x305, (3000).to_bytes(4, "little") + bytes(2))
                 await rig.until(lambda n=taken: len(rig.twin.commands) > n)
                 rig.backend.hold_stop(None)
-                await rig.until(lambda: rig.twin.state == "quick_stop", 5.0)
-            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 5.0)
+                await rig.until(lambda: rig.twin.state == "quick_stop")
+            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await stays_at_rest(rig)
         assert rig.twin.state != "enabled"
 
@@ -255,7 +255,7 @@ async def test_a_drive_that_another_master_pushes_is_stopped_again(profile: str)
         for _ in range(3):
             await rig.ordered(lambda: setattr(rig.twin.plant, "velocity", 3.0))
             rig.backend.hold_stop(None)
-            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1, 5.0)
+            await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await stays_at_rest(rig)
 
 
@@ -265,7 +265,7 @@ async def test_a_halt_is_confirmed_with_two_of_three_frames_lost(profile: str) -
         await turns(rig)
         chance = random.Random(3)
         rig.bench.loses = lambda: chance.random() < 2 / 3
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             for _ in range(5):
                 with suppress(DeviceTimeout):
                     await rig.backend.halt()
@@ -282,7 +282,7 @@ async def test_a_node_that_boots_while_it_is_being_stopped_ends_up_at_rest_and_o
         await asyncio.sleep(0)
         await rig.ordered(rig.twin.boot)
         with suppress(RcpError):
-            await asyncio.wait_for(halting, 10)
+            await asyncio.wait_for(halting, 60)
         await rig.until(lambda: rig.axis.configured)
         await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await rig.backend.halt()
@@ -345,7 +345,7 @@ async def test_an_enable_that_does_not_last_is_no_enable(profile: str) -> None:
         await rig.until(lambda: rig.twin.enabled)
         await rig.ordered(rig.twin.break_down)
         with pytest.raises(DeviceRejected):
-            await asyncio.wait_for(enabling, 10)
+            await asyncio.wait_for(enabling, 60)
         assert rig.axis.state == "fault"
 
 
@@ -356,7 +356,7 @@ async def test_an_enable_in_which_contact_is_lost_does_not_blame_the_drive() -> 
         rig.axis._lose(Loss("feedback_lost", "no message received for 0.5 s"))  # noqa: SLF001 - contact is lost between two steps, which no frame can time
         rig.axis.online = True  # and it is back before anybody looks
         with pytest.raises(AdapterUnavailable, match=r"no message received for 0.5 s"):
-            await asyncio.wait_for(enabling, 20)
+            await asyncio.wait_for(enabling, 60)
         await stays_at_rest(rig)
 
 
@@ -368,8 +368,8 @@ async def test_an_enable_that_a_stop_cuts_off_leaves_the_drive_without_torque(pr
             await asyncio.sleep(0.004 * late)
             halting = asyncio.ensure_future(rig.backend.halt())
             enabling.cancel()
-            await asyncio.wait((enabling,), timeout=10)
-            await asyncio.wait_for(halting, 10)
+            await asyncio.wait((enabling,), timeout=60)
+            await asyncio.wait_for(halting, 60)
             await asyncio.sleep(0.1)
             assert rig.twin.state != "enabled" if profile == "cia402" else True
             assert abs(rig.twin.plant.velocity) < 0.1
@@ -397,7 +397,7 @@ async def test_a_hold_ends_the_move(profile: str) -> None:
         await rig.until(lambda: rig.twin.plant.velocity > 1.0)
         await rig.backend.hold(None)
         with pytest.raises(ModeForbids, match="hold"):
-            await asyncio.wait_for(moving, 20)
+            await asyncio.wait_for(moving, 60)
         await stays_at_rest(rig)
         assert rig.twin.enabled
         assert rig.twin.plant.position < 8.0
@@ -431,12 +431,12 @@ async def test_no_set_point_of_a_cancelled_trajectory_follows_the_halt(cancel: s
         await asyncio.sleep(0)
         if cancel == "with":
             moving.cancel()
-        with anyio.fail_after(10):
+        with anyio.fail_after(60):
             await halting
         assert rig.still()
         if cancel == "after":
             moving.cancel()
-        await asyncio.wait((moving,), timeout=10)
+        await asyncio.wait((moving,), timeout=60)
         stood = {name: twin.plant.position for name, twin in rig.twins.items()}
         taken = {name: len(twin.commands) for name, twin in rig.twins.items()}
         for _ in range(60):

@@ -82,7 +82,7 @@ async def test_errors_of_the_controller_are_told_with_the_traffic() -> None:
             await asyncio.sleep(0)
             frame = bytes((0, 0x10, 0, 0, 0, 0, 130, 4))  # error passive, with both counters
             node.send(0x204, frame, is_error_frame=True, is_extended_id=False)
-            found = await asyncio.wait_for(reading, 20)
+            found = await asyncio.wait_for(reading, 60)
         assert found.error_frames == 1
         assert found.controller.state == "error_passive"
         assert (found.controller.tx_errors, found.controller.rx_errors) == (130, 4)

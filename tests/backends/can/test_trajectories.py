@@ -367,7 +367,7 @@ async def test_what_stops_the_joints_while_it_is_planned_is_not_overtaken(
         await STOPS[stop](rig)
         going_on.set()
         with pytest.raises(ModeForbids):
-            await asyncio.wait_for(running, 20)
+            await asyncio.wait_for(running, 60)
         assert rig.still()
         assert all(twin.plant.position < 0.1 for twin in rig.twins.values())
 
@@ -379,7 +379,7 @@ async def test_a_joint_that_is_held_back_aborts_the_trajectory_to_a_stop() -> No
         rig.twins["roll"].plant.stiction = 1.0
         rig.twins["roll"].plant.friction = 1.0
         with pytest.raises(DeviceRejected, match=r"'roll' is .* off its trajectory"):
-            await asyncio.wait_for(running, 20)
+            await asyncio.wait_for(running, 60)
         assert rig.still()
         assert all(twin.plant.position < 3.9 for twin in rig.twins.values())
         assert all(axis.owner is None for axis in rig.axes.values())
@@ -424,7 +424,7 @@ async def test_a_joint_that_is_lost_stops_all(joint: str) -> None:
         running = await in_motion(rig)
         rig.twins[joint].silent = True
         with pytest.raises(LOST):
-            await asyncio.wait_for(running, 20)
+            await asyncio.wait_for(running, 60)
         others = [twin.plant for name, twin in rig.twins.items() if name != joint]
         await rig.until(lambda: all(abs(plant.velocity) < 0.1 for plant in others))
         rig.twins[joint].silent = False
@@ -437,7 +437,7 @@ async def test_bus_off_ends_a_trajectory_and_nothing_goes_on_when_the_bus_is_bac
         with Node(rig.channel) as node:
             node.bus_off()
             with pytest.raises(AdapterUnavailable):
-                await asyncio.wait_for(running, 20)
+                await asyncio.wait_for(running, 60)
             await rig.host.published_as("sensor/can/can0/state", state="error_active")
         await rig.until(rig.still)
         stood = {name: twin.plant.position for name, twin in rig.twins.items()}
@@ -449,11 +449,11 @@ async def test_bus_off_ends_a_trajectory_and_nothing_goes_on_when_the_bus_is_bac
 async def test_a_halt_ends_a_trajectory() -> None:
     async with arm() as rig:
         running = await in_motion(rig)
-        with anyio.fail_after(10):
+        with anyio.fail_after(60):
             await rig.backend.halt()
         assert rig.still()
         with pytest.raises(ModeForbids, match="halted"):
-            await asyncio.wait_for(running, 20)
+            await asyncio.wait_for(running, 60)
         assert rig.still()
 
 
@@ -461,7 +461,7 @@ async def test_a_cancelled_trajectory_has_braked_on_its_curve() -> None:
     async with arm() as rig:
         running = await in_motion(rig)
         running.cancel()
-        await asyncio.wait((running,), timeout=20)
+        await asyncio.wait((running,), timeout=60)
         assert running.cancelled()
         assert rig.still()
         ends = [twin.plant.position for twin in rig.twins.values()]
@@ -482,7 +482,7 @@ async def test_one_trajectory_at_a_time_and_no_joint_of_it_for_others() -> None:
             await rig.execute("action/arm/move_joints", {"positions": {"pan": 0.0}})
         await rig.write("actuator/arm/joints", {})
         with pytest.raises(ModeForbids, match="a stop of 'arm'"):
-            await asyncio.wait_for(running, 20)
+            await asyncio.wait_for(running, 60)
         assert rig.still()
 
 
@@ -497,6 +497,6 @@ async def test_a_drive_that_cannot_follow_goes_into_fault_and_the_others_stop() 
 
         rig.bench.order(tight)
         with pytest.raises(ModeForbids, match=r"'tilt' is no longer enabled: .*0x8611"):
-            await asyncio.wait_for(running, 20)
+            await asyncio.wait_for(running, 60)
         await rig.until(rig.still)
         assert twin.state == "fault"

@@ -71,7 +71,7 @@ async def _record() -> list[Message]:
             ("execute", _ESTOP, {}),
             ("execute", _ESTOP, {"reset": True}),
         ):
-            reply = await client.request(type_, path, body=body, within=30.0)
+            reply = await client.request(type_, path, body=body, within=60.0)
             assert reply["status"] == "completed", reply
         id_ = await client.subscribe(_POSE)
         for _ in range(3):  # the first may be what the hub has read before

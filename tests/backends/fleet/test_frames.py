@@ -234,7 +234,7 @@ async def test_values_in_a_frame_of_a_robot_that_was_never_seen_are_waited_for()
         end = backend.watch_in_frame("sensor/r7/pose", watch)
         assert missing == ["its gateway cannot be reached"]
         async with serving(robot_at(port) + _ANCHOR):
-            async with asyncio.timeout(40.0):
+            async with asyncio.timeout(60.0):
                 assert "latitude" in (await values.get()).decode()["position"]
             end()
 

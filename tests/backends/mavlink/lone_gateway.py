@@ -15,7 +15,7 @@ import httpx
 from configuration import backend, key, listener, table
 
 OPERATOR = "operator-of-the-lone-gateway"
-BOUND = 40.0  # s that any wait may take: the machine may be busy
+BOUND = 60.0  # s that any wait may take: the machine may be busy
 _CLOSE = 20.0  # s that it may take to end in order
 
 

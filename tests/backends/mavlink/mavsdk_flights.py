@@ -36,7 +36,7 @@ BOUND = 120.0  # s for a flight, after which it is told where each thread stands
 LAT, LON = -35.3632621, 149.1652374
 
 
-async def until(stream: Any, holds: Callable[[Any], bool], seconds: float = 30.0) -> Any:
+async def until(stream: Any, holds: Callable[[Any], bool], seconds: float = 60.0) -> Any:
     async with asyncio.timeout(seconds):
         async for value in stream:
             if holds(value):

@@ -85,7 +85,7 @@ async def flying(options: dict[str, Any] | None = None, **config: Any) -> AsyncG
             yield Stopped(served, running, link)
 
 
-async def until(holds: Callable[[], object], what: str, within: float = 20.0) -> None:
+async def until(holds: Callable[[], object], what: str, within: float = 60.0) -> None:
     async def check() -> bool:
         return bool(holds())
 

@@ -247,7 +247,7 @@ class MavlinkRig(Hurried, StopRig):
 
         robot, goal = self.backend.robots[""], Calibrate("accelerometer_full")
         self.calibrating = asyncio.ensure_future(robot.execute("action/calibrate", goal, progress))
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(60):
             await asked.wait()
 
     async def _tidy(self) -> None:

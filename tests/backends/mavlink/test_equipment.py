@@ -35,7 +35,7 @@ async def write(pilot: Pilot, name: str, body: Any, **more: Any) -> Any:
 
 
 async def estop(pilot: Pilot) -> None:
-    reply = await pilot.served.client(ADMIN).request("execute", "/system/estop", within=30.0)
+    reply = await pilot.served.client(ADMIN).request("execute", "/system/estop", within=60.0)
     assert reply["status"] == "completed", reply
 
 

@@ -170,7 +170,7 @@ async def test_a_cancel_closes_the_file_on_board() -> None:
 
 async def test_a_vehicle_without_ftp_and_one_that_is_lost_end_it_with_an_error() -> None:
     async with station(Puppet()) as found:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             reply = await found.do("service/ftp/list", {"path": "/"})
         assert reply["error"]["code"] == "device_timeout"
     async with serving() as (found, server):

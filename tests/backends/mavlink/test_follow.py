@@ -184,7 +184,7 @@ async def test_another_vehicle_of_the_backend_is_followed_until_it_is_lost() -> 
             client = served.client(OPERATOR)
             path = "/tenant/t/action/vehicle1/follow"
             for name in ("vehicle1", "nobody"):
-                odd = await client.request("execute", path, body={"vehicle": name}, within=30.0)
+                odd = await client.request("execute", path, body={"vehicle": name}, within=60.0)
                 assert odd["error"]["details"]["pointer"] == "/vehicle"
             written = {"latitude": LAT, "longitude": LON - 5e-4}
             where = "/tenant/t/actuator/vehicle1/follow_target"

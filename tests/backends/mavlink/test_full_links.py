@@ -90,7 +90,7 @@ async def opened(text: str) -> Link:
     joined = asyncio.Event()
     link.joined = joined.set
     await link.open()
-    with anyio.fail_after(20):
+    with anyio.fail_after(60):
         await joined.wait()
     return link
 
@@ -109,7 +109,7 @@ async def test_a_stop_does_not_wait_behind_a_full_serial_line() -> None:
     try:
         flood(link)
         got = b""
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             while STOP not in got:
                 got += await anyio.to_thread.run_sync(os.read, ours, 4096)
         beside = 2 * 4096  # of the system, in a pair of terminals
@@ -132,7 +132,7 @@ async def test_a_stop_does_not_wait_behind_a_connection_that_was_not_read() -> N
         try:
             flood(link)
             got = b""
-            with peer, anyio.fail_after(20):
+            with peer, anyio.fail_after(60):
                 while STOP not in got:
                     got += await loop.sock_recv(peer, 65_536)
             assert got.index(STOP) < 65_536 + 3 * 16_384 + 65_536

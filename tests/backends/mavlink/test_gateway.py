@@ -30,7 +30,7 @@ class Pilot:
 
     async def do(self, name: str, body: Any = None, **more: Any) -> Any:
         path = f"/tenant/t/{name}"
-        return await self.client.request("execute", path, body=body, within=30.0, **more)
+        return await self.client.request("execute", path, body=body, within=60.0, **more)
 
     async def read(self, name: str) -> Any:
         reply = await self.client.request("read", f"/tenant/t/{name}")
@@ -160,7 +160,7 @@ async def test_an_estop_does_what_is_configured(policy: str, mode: Mode | None) 
         await pilot.ready()
         pilot.vehicle.flight.aim((500.0, 0.0), -15.0)
         await eventually(lambda: _is(speed(pilot.vehicle) > 3), "it moves")
-        stop = await pilot.client.request("execute", "/system/estop", deadline=20.0, within=25.0)
+        stop = await pilot.client.request("execute", "/system/estop", deadline=20.0, within=60.0)
         assert stop["status"] == "completed", stop
         # A landing is over when it stands there disarmed: it was called done in the air once.
         done = speed(pilot.vehicle) < 0.5 if policy == "hold" else not pilot.vehicle.armed
@@ -203,7 +203,7 @@ async def test_after_a_reboot_it_is_asked_for_everything_again(pilot: Pilot) -> 
 
 async def test_an_unknown_parameter_is_told_fast_with_near_names(pilot: Pilot) -> None:
     backend = pilot.served.life.backend
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(60):
         await backend.robots[""].parameters.complete.wait()
     reply = await pilot.do("service/param/read", {"name": "WPNAV_SPED"})
     assert reply["error"]["code"] == "unknown_path"

@@ -136,7 +136,7 @@ async def _frozen_loop(link: str, others: str, mode: int) -> None:
 
         await eventually(ready, "it is armed", 20.0)
         rise = {"altitude": 8.0}
-        reply = await client.request("execute", "/tenant/t/action/takeoff", body=rise, within=30.0)
+        reply = await client.request("execute", "/tenant/t/action/takeoff", body=rise, within=60.0)
         assert reply["status"] == "completed", reply
         other: Any = mavutil.mavlink_connection(others, source_system=254)
         other.mav.heartbeat_send(6, 8, 0, 0, 4)  # over UDP it has to call

@@ -140,7 +140,7 @@ async def test_a_plane_that_is_stopped_circles() -> None:
     async with vehicle(PLANE) as (found, puppet):
         await in_air(found, puppet)
         puppet.velocity = (20.0, 0.0, 0.0)
-        stop = await found.client.request("execute", "/system/estop", within=10.0)
+        stop = await found.client.request("execute", "/system/estop", within=60.0)
         assert stop["status"] == "completed", stop
         assert puppet.words[puppet.mode] == "LOITER"
 
@@ -156,7 +156,7 @@ async def test_what_drives_goes_there_and_comes_home(type_: int) -> None:
         home = await found.do("action/rtl")
         assert home["status"] == "completed", home
         assert puppet.armed
-        stop = await found.client.request("execute", "/system/estop", within=10.0)
+        stop = await found.client.request("execute", "/system/estop", within=60.0)
         assert stop["status"] == "completed", stop
         assert puppet.words[puppet.mode] == ("HOLD" if type_ == ROVER else "LOITER")
 

@@ -173,7 +173,7 @@ async def test_http_and_websocket_fly_it() -> None:
             socket_url = url.replace("http", "ws") + "/rcp/v1/ws"
             async with websockets.connect(socket_url, additional_headers=headers) as ws:
                 await ws.send('{"type":"execute","id":"r","path":"/tenant/t/action/rtl"}')
-                async with asyncio.timeout(30):
+                async with asyncio.timeout(60):
                     while '"completed"' not in (said := str(await ws.recv())):
                         assert '"failed"' not in said, said
         assert running.vehicle.body.landed

@@ -30,11 +30,11 @@ async def pilot() -> AsyncIterator[Pilot]:
 
 
 async def write(pilot: Pilot, name: str, value: float) -> dict[str, Any]:
-    return await pilot.client.request("write", f"/tenant/t/param/{name}", body=value, within=30.0)
+    return await pilot.client.request("write", f"/tenant/t/param/{name}", body=value, within=60.0)
 
 
 async def estop(pilot: Pilot) -> None:
-    reply = await pilot.served.client(ADMIN).request("execute", "/system/estop", within=30.0)
+    reply = await pilot.served.client(ADMIN).request("execute", "/system/estop", within=60.0)
     assert reply["status"] == "completed", reply
 
 

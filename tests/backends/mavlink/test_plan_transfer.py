@@ -211,7 +211,7 @@ async def test_a_vehicle_that_calls_every_item_out_of_turn_ends_the_upload(
     puppet.on["MISSION_ITEM_INT"] = lambda _: puppet.send("MISSION_ACK", 255, 190, 13, 1)
     puppet.also.append(lambda: puppet.send("MISSION_ACK", 255, 190, 13, 1))
     async with station(puppet, timeout=0.1) as found:
-        reply = await found.do("service/fence/upload", {"items": circle(50.0)}, within=10.0)
+        reply = await found.do("service/fence/upload", {"items": circle(50.0)}, within=60.0)
         assert reply["status"] == "rejected", reply
         assert "invalid sequence" in reply["message"]
 

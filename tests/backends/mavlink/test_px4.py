@@ -207,8 +207,8 @@ async def test_an_estop_makes_it_hold() -> None:
     async with px4() as (found, puppet):
         await airborne(found, puppet)
         puppet.mode = MISSION
-        async with asyncio.timeout(30):
-            stop = await found.client.request("execute", "/system/estop", within=10.0)
+        async with asyncio.timeout(60):
+            stop = await found.client.request("execute", "/system/estop", within=60.0)
         assert stop["status"] == "completed", stop
         assert puppet.mode == HOLD
         assert puppet.commands(192), "HOLD alone does not end what goes to a place in HOLD"

@@ -21,14 +21,14 @@ def master() -> Iterator[Any]:
             f"tcp:127.0.0.1:{twin.ports['tcpin']}", source_system=255, dialect="ardupilotmega"
         )
         try:
-            assert link.wait_heartbeat(timeout=30) is not None
+            assert link.wait_heartbeat(timeout=60) is not None
             yield link
         finally:
             link.close()
 
 
 def hear(master: Any, *types: str) -> Any:
-    message = master.recv_match(type=list(types), blocking=True, timeout=30)
+    message = master.recv_match(type=list(types), blocking=True, timeout=60)
     assert message is not None, types
     return message
 

@@ -145,7 +145,7 @@ async def test_what_drives_goes_to_a_place_follows_a_velocity_and_comes_home(kin
         client = served.client(OPERATOR)
 
         async def does(verb: str, name: str, body: Any = None) -> Any:
-            reply = await client.request(verb, f"/tenant/t/{name}", body=body, within=30.0)
+            reply = await client.request(verb, f"/tenant/t/{name}", body=body, within=60.0)
             assert reply["status"] == "completed", reply
             return reply["body"]
 
@@ -169,7 +169,7 @@ async def test_a_plane_takes_off_circles_a_place_and_keeps_files() -> None:
 
         async def does(name: str, body: Any = None) -> Any:
             path = f"/tenant/t/{name}"
-            reply = await client.request("execute", path, body=body, within=30.0)
+            reply = await client.request("execute", path, body=body, within=60.0)
             assert reply["status"] == "completed", reply
             return reply["body"]
 

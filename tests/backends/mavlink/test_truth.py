@@ -141,7 +141,7 @@ async def test_a_parameter_that_there_is_not_is_told_after_one_question() -> Non
     async with station(puppet) as found:
         robot = found.robot
         await eventually(lambda: _is(robot.parameters.complete.is_set()), "they are listed")
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(60.0):
             reply = await found.do("service/param/read", {"name": "RTL_ALTT"})
         assert reply["error"]["code"] == "unknown_path"
         assert "RTL_ALT" in reply["error"]["remedy"]

@@ -71,7 +71,7 @@ class Gateway:
 async def gateway(model: str = "rover", **config: Any) -> AsyncGenerator[Gateway]:
     table = {"model": model, "paused": True, "cameras": False, **config}
     async with serve_backend(KIND, table) as served:
-        await asyncio.wait_for(served.supervisor.settled.wait(), 30)
+        await asyncio.wait_for(served.supervisor.settled.wait(), 60)
         yield Gateway(served)
 
 
@@ -437,7 +437,7 @@ async def test_a_missing_or_damaged_model_stops_the_backend_for_good(
     if content is not None:
         file.write_text(content)
     async with serve_backend(KIND, {"model": str(file)}) as served:
-        await asyncio.wait_for(served.supervisor.settled.wait(), 30)
+        await asyncio.wait_for(served.supervisor.settled.wait(), 60)
         assert served.supervisor.state == "failed"
         assert str(file) in (served.supervisor.detail or "")
 

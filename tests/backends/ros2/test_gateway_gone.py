@@ -26,7 +26,7 @@ from backends.ros2.robot import Base, Commander, fresh_domain
 from configuration import backend, key, listener, table
 
 pytestmark = pytest.mark.paired
-BOUND = 40.0  # s that any wait of a test may take
+BOUND = 60.0  # s that any wait of a test may take
 STAYS = 2.0  # s for which the wheels are looked at once they rest
 AFTER = 0.5  # s of `guard_after`
 BRAKING = 0.25  # s from 0.5 m/s, at 2 m/s²

@@ -107,7 +107,7 @@ async def test_a_topic_that_the_middleware_refuses_is_told_and_holds_nothing_els
             graph.tell("offer", topic="/odd/later", kind="std_msgs/Float64")
             await robot.until(lambda: "sensor/odd/later" in robot.resources)
         command = robot.input("actuator/mine", {"data": "x"})
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             with pytest.raises(AdapterUnavailable):
                 await robot.backend.write("actuator/mine", command)
 

@@ -94,7 +94,7 @@ async def discovered(client: Page) -> None:
 
 async def appears(client: Page, what: str, name: str) -> None:
     """Wait until the graph has a service, or an action server."""
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while True:
             if name in (await client.values(f"/rosapi/{what}"))[what]:
                 return

@@ -106,7 +106,7 @@ async def test_motion_without_its_feedback_is_refused_and_what_runs_is_stopped(r
         await write(robot, 0.5)
         await rig.drives()
         rig.base.tell("put", name="frozen", value=True)
-        await rig.until(lambda t: t["wheel"] == 0.0, 15.0)
+        await rig.until(lambda t: t["wheel"] == 0.0, 60.0)
 
 
 async def test_a_goal_that_was_given_up_does_not_go_on_when_its_server_is_back(rig: Rig) -> None:
@@ -121,7 +121,7 @@ async def test_a_goal_that_was_given_up_does_not_go_on_when_its_server_is_back(r
                 await asyncio.wait_for(running, BOUND)
         finally:
             rig.base.thaw()
-        await rig.until(lambda t: not t["running"], 15.0)
+        await rig.until(lambda t: not t["running"], 60.0)
         assert "held" in await robot.backend.recover(None)
 
 
@@ -130,7 +130,7 @@ async def test_what_an_earlier_gateway_began_is_ended_when_it_was_lost(rig: Rig)
     await rig.until(lambda t: t["running"])
     async with gateway(rig) as robot:
         assert "all goals cancelled" in await robot.backend.recover(None)
-        await rig.until(lambda t: not t["running"], 10.0)
+        await rig.until(lambda t: not t["running"], 60.0)
     assert rig.commander.tell("go", steps=400)
     await rig.until(lambda t: t["running"])
     async with gateway(rig, on_loss="continue") as robot:

@@ -91,7 +91,7 @@ class RecordingHost:
         return len(self.samples.get(name, ()))
 
     async def until(self, holds: Callable[[], bool]) -> None:
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             while not holds():
                 await self.published.wait()
 

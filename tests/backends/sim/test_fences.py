@@ -18,7 +18,7 @@ from rcp_kernel.config.file import GatewayConfig, load
 pytestmark = pytest.mark.anyio
 EXAMPLE = Path(__file__).parents[3] / "examples" / "fenced.toml"
 AGENT, OPERATOR = "agent-key-of-the-test", "operator-key-of-the-test"
-BOUND = 30.0  # s any wait may take
+BOUND = 60.0  # s any wait may take
 
 
 def config(monkeypatch: pytest.MonkeyPatch, x: float, **options: Any) -> GatewayConfig:

@@ -50,7 +50,7 @@ async def test_a_token_is_good_and_is_taken_back_while_the_gateway_runs(
         key = (await rcpd("create", "arm", "--config", str(config), "--role", "operator")).strip()
         assert key.startswith(PREFIX)
         assert len(key) >= 40
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             while True:
                 try:
                     client = world.client(key)
@@ -67,7 +67,7 @@ async def test_a_token_is_good_and_is_taken_back_while_the_gateway_runs(
         assert "arm" in listed
         assert key not in listed
         assert "revoked" in await rcpd("revoke", "arm", "--config", str(config))
-        with anyio.fail_after(20):
+        with anyio.fail_after(60):
             ended = await client.notice("subscription_ended")
         assert (ended["id"], ended["error"]["code"]) == ("s", "token_expired")
         assert (await client.final(None))["error"]["code"] == "token_expired"

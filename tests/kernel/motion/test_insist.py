@@ -23,7 +23,7 @@ def every_level() -> Iterator[None]:
     structlog.configure(**kept)
 
 
-BOUND = 20.0
+BOUND = 60.0
 
 Way = Callable[[], Coroutine[Any, Any, None]]
 

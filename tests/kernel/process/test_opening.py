@@ -13,6 +13,7 @@ from configuration import key, role, rule
 from kernel.world import BOUND, CONFIG, Client, NoOptions, Robot, prepared
 from rcp_gateway.server import Server, running
 from rcp_gateway.testing import SteppedClock
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import ConfigError, NotReady
 from rcp_kernel.spi import BackendKind, Host
@@ -25,11 +26,16 @@ NARROW = role("narrow", rule("*", "/sensor/level")) + key(
 )
 
 
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let clients in before any backend is open."""
+    monkeypatch.setattr("rcp_gateway.server._FIRST_OPEN", 0.05)
+
+
 class Gate:
     """How the robot opens: when it is let, or with an error."""
 
-    def __init__(self, clock: SteppedClock) -> None:
-        self.clock = clock
+    def __init__(self) -> None:
         self.opens = asyncio.Event()
         self.fate: Exception | None = None
         self.before: Callable[[Host], None] = lambda _: None
@@ -39,7 +45,6 @@ class Gate:
     async def open(self, _config: NoOptions, host: Host) -> AsyncGenerator[Robot]:
         self.host = host
         self.before(host)
-        self.clock.advance(2)  # the gateway waits no longer for it before it serves
         await self.opens.wait()
         if self.fate is not None:
             raise self.fate
@@ -50,10 +55,12 @@ class Gate:
 
 
 @asynccontextmanager
-async def gateway(gate: Gate, text: str = CONFIG) -> AsyncGenerator[Server]:
+async def gateway(
+    gate: Gate, text: str = CONFIG, clock: Clock = SYSTEM_CLOCK
+) -> AsyncGenerator[Server]:
     made = prepared(parse(text + NARROW, "test"), [])
     made.plugins.backends["robot"] = BackendKind("robot", NoOptions, gate.open)
-    async with asyncio.timeout(BOUND), running(made, clock=gate.clock.clock) as server:
+    async with asyncio.timeout(BOUND), running(made, clock=clock) as server:
         try:
             yield server
         finally:
@@ -80,10 +87,9 @@ async def until(client: Client, type_: str, wanted: tuple[str, bool] | None) -> 
         await asyncio.sleep(0.01)
 
 
-async def test_while_it_opens_every_operation_is_to_be_tried_again_and_then_works(
-    stepped: SteppedClock,
-) -> None:
-    gate = Gate(stepped)
+@pytest.mark.usefixtures("at_once")
+async def test_while_it_opens_every_operation_is_to_be_tried_again_and_then_works() -> None:
+    gate = Gate()
     async with gateway(gate) as server:
         client = Client(server.client_api)
         for type_ in ("read", "write", "execute", "subscribe", "cancel"):
@@ -96,8 +102,9 @@ async def test_while_it_opens_every_operation_is_to_be_tried_again_and_then_work
         assert await refusal(client, "read", "/sensor/none") == UNKNOWN
 
 
-async def test_one_that_is_tried_again_and_again_may_still_come(stepped: SteppedClock) -> None:
-    gate = Gate(stepped)
+@pytest.mark.usefixtures("at_once")
+async def test_one_that_is_tried_again_and_again_may_still_come() -> None:
+    gate = Gate()
     gate.fate = NotReady("no cable")
     gate.opens.set()
     async with gateway(gate) as server:
@@ -108,8 +115,9 @@ async def test_one_that_is_tried_again_and_again_may_still_come(stepped: Stepped
         await until(client, "subscribe", None)
 
 
-async def test_one_that_has_failed_for_good_leaves_its_paths_unknown(stepped: SteppedClock) -> None:
-    gate = Gate(stepped)
+@pytest.mark.usefixtures("at_once")
+async def test_one_that_has_failed_for_good_leaves_its_paths_unknown() -> None:
+    gate = Gate()
     gate.fate = ConfigError("no such port")
     async with gateway(gate) as server:
         client = Client(server.client_api)
@@ -119,8 +127,9 @@ async def test_one_that_has_failed_for_good_leaves_its_paths_unknown(stepped: St
         assert "complete" not in (await client.ask(type="discover"))["body"]
 
 
-async def test_what_cannot_be_its_path_is_unknown_meanwhile(stepped: SteppedClock) -> None:
-    gate = Gate(stepped)
+@pytest.mark.usefixtures("at_once")
+async def test_what_cannot_be_its_path_is_unknown_meanwhile() -> None:
+    gate = Gate()
     text = CONFIG.replace('tenant = "alpha"', 'tenant = "alpha"\nrobot = "r1"', 1)
     async with gateway(gate, text) as server:
         client = Client(server.client_api)
@@ -131,8 +140,9 @@ async def test_what_cannot_be_its_path_is_unknown_meanwhile(stepped: SteppedCloc
         assert "complete" not in (await client.ask(type="discover", path="/system/*"))["body"]
 
 
-async def test_a_hidden_path_does_not_tell_that_a_backend_opens(stepped: SteppedClock) -> None:
-    gate = Gate(stepped)
+@pytest.mark.usefixtures("at_once")
+async def test_a_hidden_path_does_not_tell_that_a_backend_opens() -> None:
+    gate = Gate()
     async with gateway(gate) as server:
         client = Client(server.client_api, "narrow-narrow-narrow")
         assert await refusal(client, "read") == WAITS  # it could be seen, if it were there
@@ -142,10 +152,9 @@ async def test_a_hidden_path_does_not_tell_that_a_backend_opens(stepped: Stepped
         assert await refusal(client, "read", "/sensor/lazy") == UNKNOWN
 
 
-async def test_what_is_declared_early_can_be_subscribed_to_before_it_is_open(
-    stepped: SteppedClock,
-) -> None:
-    gate = Gate(stepped)
+@pytest.mark.usefixtures("at_once")
+async def test_what_is_declared_early_can_be_subscribed_to_before_it_is_open() -> None:
+    gate = Gate()
     gate.before = lambda host: Robot(host).declare()
     async with gateway(gate) as server:
         client = Client(server.client_api)
@@ -156,10 +165,9 @@ async def test_what_is_declared_early_can_be_subscribed_to_before_it_is_open(
         assert (await client.update("s"))["body"] == 1.0
 
 
-async def test_an_open_backend_that_still_looks_for_what_it_has_may_find_it(
-    stepped: SteppedClock,
-) -> None:
-    gate = Gate(stepped)
+@pytest.mark.usefixtures("at_once")
+async def test_an_open_backend_that_still_looks_for_what_it_has_may_find_it() -> None:
+    gate = Gate()
     gate.before = lambda host: host.discovering(active=True)
     gate.opens.set()
     async with gateway(gate) as server:
@@ -168,3 +176,14 @@ async def test_an_open_backend_that_still_looks_for_what_it_has_may_find_it(
         assert await refusal(client, "read", "/sensor/found") == WAITS
         gate.host.discovering(active=False)
         assert await refusal(client, "read", "/sensor/found") == UNKNOWN
+
+
+async def test_one_that_opens_quickly_is_there_though_the_machine_stood_still(
+    stepped: SteppedClock,
+) -> None:
+    gate = Gate()
+    gate.before = lambda _: stepped.advance(5.0)
+    asyncio.get_running_loop().call_later(0.02, gate.opens.set)
+    async with gateway(gate, clock=stepped.clock) as server:
+        reply = await Client(server.client_api).ask(type="read", path=LEVEL)
+        assert reply.get("body") == 1.0

@@ -138,7 +138,7 @@ async def test_what_threads_hand_over_runs_in_order_each_in_its_own_context(
         host.call_soon(over.set)
 
     await asyncio.get_running_loop().run_in_executor(None, hand_over)
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(60):
         await over.wait()
         assert heard == [(0, "ann"), (1, "ben"), (2, "cid")]
         over.clear()

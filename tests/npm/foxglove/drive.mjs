@@ -7,7 +7,7 @@ const { FoxgloveClient } = require("@foxglove/ws-protocol");
 const { parse } = require("@foxglove/rosmsg");
 const { MessageReader, MessageWriter } = require("@foxglove/rosmsg2-serialization");
 
-const PATIENCE = 30_000; // ms that any step may take
+const PATIENCE = 60_000; // ms that any step may take
 const given = JSON.parse(await text(process.stdin));
 
 async function within(what, promise) {
@@ -209,7 +209,7 @@ async function once() {
 
 async function reconnected() {
   const ids = [];
-  const deadline = Date.now() + PATIENCE;
+  const deadline = Date.now() + 2 * PATIENCE; // two gateways start meanwhile
   while (ids.length < 2 && Date.now() < deadline) {
     const session = new Session(given.url, given.subprotocol);
     if ((await session.first("open", "close", "error")) !== "open") {

@@ -26,7 +26,7 @@ async def agent(table: str = "", more: str = "", **parts: Any) -> AsyncGenerator
 async def caller(site: Site, key: str | None = KEY) -> AsyncGenerator[httpx.AsyncClient]:
     """Call the gateway as somebody."""
     headers = VERSION | ({} if key is None else {"authorization": f"Bearer {key}"})
-    async with httpx.AsyncClient(base_url=site.url, headers=headers, timeout=30.0) as client:
+    async with httpx.AsyncClient(base_url=site.url, headers=headers, timeout=60.0) as client:
         yield client
 
 

@@ -9,7 +9,7 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
 
-BOUND = 30.0  # s any wait may take
+BOUND = 60.0  # s any wait may take
 
 
 class Receiver:

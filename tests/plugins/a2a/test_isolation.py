@@ -90,7 +90,7 @@ async def test_a_token_that_is_not_known_is_refused_over_both_bindings(gateway: 
 
 
 async def test_a_quota_holds_for_agents_too() -> None:
-    more = "[quotas.principal]\nrequests = 1.0\nburst = 2"
+    more = "[quotas.principal]\nrequests = 0.01\nburst = 2"
     async with agent(more=more) as site, caller(site) as client:
         answers = [await client.get("/a2a/tasks") for _ in range(4)]
         refused = [answer for answer in answers if answer.status_code == 429]
@@ -107,7 +107,7 @@ async def test_the_name_of_another_proof_is_somebody_else(gateway: Site) -> None
 
 async def test_calls_side_by_side_keep_their_callers(gateway: Site) -> None:
     headers = {key: VERSION | {"authorization": f"Bearer {key}"} for key in (KEY, KEY_BETA)}
-    async with httpx.AsyncClient(base_url=gateway.url, timeout=30.0) as client:
+    async with httpx.AsyncClient(base_url=gateway.url, timeout=60.0) as client:
 
         async def one(key: str) -> tuple[str, str]:
             answer = await client.post(

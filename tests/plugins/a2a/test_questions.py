@@ -102,7 +102,7 @@ async def test_a_question_taken_up_after_a_restart_has_its_own_end(tmp_path: Pat
     events = Events()
     run.listen(events)
     run.resume(Caller(nobody, "http://here"), Pending(TaskRequest({}), lacking("1")))
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         await run.ended.wait()
     (event,) = events.told
     assert event.status.state == TaskState.TASK_STATE_FAILED

@@ -23,7 +23,7 @@ from rcp_kernel.values import value_type
 
 OPERATOR = "operator-of-these-tests"
 ADMIN = "administrator-of-these-tests"
-BOUND = 20.0  # s that any wait of a test may take
+BOUND = 60.0  # s that any wait of a test may take
 
 ROBOTS = (
     backend("robot") + backend("other", "beta") + key("operator", OPERATOR) + key("admin", ADMIN)

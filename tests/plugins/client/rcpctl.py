@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 BIN = Path(sys.executable).parent
-BOUND = 40.0  # s that any process of these tests may take
+BOUND = 60.0  # s that any process of these tests may take
 OPERATOR = "operator-of-the-rcpctl-tests"
 ADMIN = "administrator-of-the-rcpctl-tests"
 CONFIG = (

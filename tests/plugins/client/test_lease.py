@@ -12,7 +12,7 @@ from plugins.client.gateway import ADMIN, OPERATOR, Gateway
 from rcp_kernel.errors import LeaseHeld, LeaseLost
 
 pytestmark = pytest.mark.anyio
-BOUND = 20.0
+BOUND = 60.0
 SCOPE = "/tenant/alpha"
 Connect = Callable[..., rcp_client.Client]
 

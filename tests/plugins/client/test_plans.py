@@ -22,7 +22,7 @@ from rcp_kernel.errors import ApprovalRequired, Cancelled, DeviceRejected, Unkno
 
 pytestmark = pytest.mark.anyio
 BIN = Path(sys.executable).parent
-BOUND = 30.0  # s
+BOUND = 60.0  # s
 CONFIG = (
     table("transports", http=False, sse=False)
     + listener(grace=0.1)

@@ -24,7 +24,7 @@ async def test_a_log_across_many_cuts_is_what_was_published(
     heard, log = Heard(), list[int]()
     gateway.robot.publish()
     async with (
-        asyncio.timeout(30),
+        asyncio.timeout(60),
         connect(proxy, on_notice=heard) as client,
         client.subscribe("/sensor/count", reliable=True) as subscription,
     ):

@@ -19,7 +19,7 @@ from transports.robot import KEY, Site, site
 
 pytestmark = pytest.mark.anyio
 RCPCTL = Path(sys.executable).parent / "rcpctl"
-BOUND = 20.0  # s
+BOUND = 60.0  # s
 MAPPED = '[[certificates]]\nname = "anna"\nsubject = "anna"\nrole = "operator"\n'
 
 

@@ -40,5 +40,5 @@ async def gateway(static: Path) -> AsyncGenerator[Site]:
 async def http(gateway: Site) -> AsyncGenerator[httpx.AsyncClient]:
     """Call the gateway as an operator."""
     headers = {"authorization": f"Bearer {KEY}", "accept-encoding": "identity"}
-    async with httpx.AsyncClient(base_url=gateway.url, headers=headers, timeout=30) as client:
+    async with httpx.AsyncClient(base_url=gateway.url, headers=headers, timeout=60) as client:
         yield client

@@ -156,7 +156,7 @@ async def test_a_stream_shows_every_picture_to_who_keeps_up(
     http: httpx.AsyncClient, gateway: Site
 ) -> None:
     gateway.robot.host.publish("sensor/blob", jpeg(0))
-    async with asyncio.timeout(30), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
+    async with asyncio.timeout(60), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
         assert answer.headers["content-type"] == "multipart/x-mixed-replace; boundary=frame"
         shade = 0
         async for data in parts(answer):
@@ -173,7 +173,7 @@ async def test_who_is_slow_gets_the_newest_and_no_backlog(
     publish = declare_eye(gateway)
     noise = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
     publish(eye("rgb8", noise))
-    async with asyncio.timeout(30), http.stream("GET", f"{CAMERA}/stream", params=EYE) as answer:
+    async with asyncio.timeout(60), http.stream("GET", f"{CAMERA}/stream", params=EYE) as answer:
         coming = parts(answer)
         await anext(coming)
         for _ in range(60):
@@ -191,7 +191,7 @@ async def test_a_client_that_leaves_lets_go_of_the_camera(
     http: httpx.AsyncClient, gateway: Site
 ) -> None:
     gateway.robot.host.publish("sensor/blob", jpeg(0))
-    async with asyncio.timeout(30), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
+    async with asyncio.timeout(60), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
         await anext(parts(answer))
         assert watching(gateway) == 1
     await until(lambda: watching(gateway) == 0)
@@ -224,7 +224,7 @@ async def test_who_takes_nothing_does_not_keep_the_stream_from_others(
 
 async def test_a_stream_ends_with_the_right_to_it(http: httpx.AsyncClient, gateway: Site) -> None:
     gateway.robot.host.publish("sensor/blob", jpeg(0))
-    async with asyncio.timeout(30), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
+    async with asyncio.timeout(60), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
         coming = parts(answer)
         await anext(coming)
         kernel = gateway.server.gateway
@@ -236,7 +236,7 @@ async def test_a_stream_ends_with_the_right_to_it(http: httpx.AsyncClient, gatew
 async def test_a_stream_ends_where_the_resource_is_no_picture(
     http: httpx.AsyncClient, gateway: Site
 ) -> None:
-    async with asyncio.timeout(30), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
+    async with asyncio.timeout(60), http.stream("GET", f"{CAMERA}/stream", params=BLOB) as answer:
         assert [data async for data in parts(answer)] == []
     refused = await http.get(CAMERA, params=BLOB)
     assert refused.json()["error"]["code"] == "device_rejected"

@@ -34,7 +34,7 @@ async def series(http: httpx.AsyncClient, *fields: str, **more: Any) -> dict[str
 
 async def drawn(http: httpx.AsyncClient, enough: Callable[[Any], bool], **more: Any) -> Any:
     """Ask until there is enough of it."""
-    async with asyncio.timeout(30):
+    async with asyncio.timeout(60):
         while True:
             found = (await series(http, "position.x", **more))["series"][0]
             if enough(found):
@@ -233,4 +233,4 @@ async def test_the_api_stands_in_the_openapi_document(http: httpx.AsyncClient) -
 
 def client(gateway: Site) -> httpx.AsyncClient:
     headers = {"authorization": f"Bearer {KEY}"}
-    return httpx.AsyncClient(base_url=gateway.url, headers=headers, timeout=30)
+    return httpx.AsyncClient(base_url=gateway.url, headers=headers, timeout=60)

@@ -178,5 +178,5 @@ async def site(
     kind = BackendKind("robot", NoOptions, open_robot)
     config = parse(text, "test")
     async with serve(config, kind, *kinds, adapters=tuple(rcp_adapters())) as served:
-        await asyncio.wait_for(opened.wait(), 10)
+        await asyncio.wait_for(opened.wait(), 60)
         yield Site(served, made)

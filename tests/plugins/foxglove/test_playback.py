@@ -79,7 +79,7 @@ async def replaying(
     more += key("looker", LOOKER, tenants=["then"])
     async with site(more=more, kinds=tuple(rcp_backends())) as made:
         for one in made.server.supervisors:
-            await asyncio.wait_for(one.settled.wait(), 30)
+            await asyncio.wait_for(one.settled.wait(), 60)
         yield made.url
 
 

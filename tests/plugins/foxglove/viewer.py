@@ -13,7 +13,7 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 from websockets.typing import Subprotocol
 
-BOUND = 20.0  # s that any wait of a test may take
+BOUND = 60.0  # s that any wait of a test may take
 Json = dict[str, Any]
 
 

@@ -44,7 +44,7 @@ async def test_a_client_reads_subscribes_and_commands_over_a_websocket(url: str)
     async with rcp_client.connect(url, token=TOKEN) as client:
         assert is_on_earth(await client.read(POSE, frame="earth"))
         async with client.subscribe(POSE, frame="earth", fields=["position"]) as updates:
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 body = (await anext(aiter(updates))).body
         assert list(body) == ["position"]
         assert is_on_earth(body)

@@ -37,7 +37,7 @@ class Gateway:
     def __init__(self, url: str, ports: dict[str, int]) -> None:
         self.ports = ports
         headers = {"authorization": f"Bearer {ADMIN}"}
-        self.http = httpx.AsyncClient(base_url=url, headers=headers, timeout=30)
+        self.http = httpx.AsyncClient(base_url=url, headers=headers, timeout=60)
 
     async def execute(self, path: str, body: Any) -> dict[str, Any]:
         """Execute something as the administrator."""
@@ -229,7 +229,7 @@ async def test_a_signed_link_tells_strangers_nothing() -> None:
         ):
             stranger.setblocking(False)
             stranger.sendto(b"let me in", ("127.0.0.1", port))
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(60):
                 while not await asyncio.to_thread(station.heard):
                     pass
             with pytest.raises(BlockingIOError):

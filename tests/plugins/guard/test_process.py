@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-BOUND = 20.0  # s that any wait of a test may take
+BOUND = 60.0  # s that any wait of a test may take
 
 
 class Guarded:

@@ -20,7 +20,7 @@ pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 if importlib.util.find_spec("rclpy") is None:
     pytest.skip("rclpy is not installed", allow_module_level=True)
 HEADER = "00010000"  # CDR, little-endian
-WAITS = 40.0  # s
+WAITS = 60.0  # s
 
 
 @pytest.fixture(autouse=True)
@@ -129,4 +129,4 @@ async def test_topics_goals_and_services_are_told(how: str) -> None:
             f"goal cancelled after {cancelled['at'] - at:.3f} s"
         )
         for one in (seconds, halted["at"] - at, cancelled["at"] - at):
-            in_time(one, WITHIN)
+            in_time(one, scene.allows(WITHIN))

@@ -28,7 +28,7 @@ from rcp_mcp import McpConfig
 from rcp_mcp.offers import Offer
 from rcp_mcp.server_lifespan import open_mcp
 
-BOUND = 20.0  # s that any wait of a test may take
+BOUND = 60.0  # s that any wait of a test may take
 OPERATOR = "operator-of-these-tests"
 VERSION = "2026-07-28"
 EVERY_TOOL = 'tools = ["/**"]\npage = 100000\n'

@@ -317,7 +317,7 @@ async def test_a_session_reads_on_after_a_cut_and_no_other_reads_that(
                         break
         return message
 
-    assert "1.25" in await again(one, 20)
+    assert "1.25" in await again(one, BOUND)
     assert "1.25" not in await again(other, 2)
 
 
@@ -340,7 +340,7 @@ async def test_a_proof_that_ends_closes_what_it_opened() -> None:
 async def test_lists_count_against_a_quota_as_calls_do() -> None:
     hasty = """
 [quotas.principal]
-requests = 0.5
+requests = 0.004
 burst = 3
 """
     async with site(more=hasty) as made, caller(made) as client:

@@ -74,7 +74,7 @@ def rover(host: Host) -> ScriptedRobot:
 async def served(config: str = CONFIG) -> AsyncGenerator[Served]:
     async with serve(config, scripted(rover, "rover")) as made:
         for supervisor in made.server.supervisors:
-            await asyncio.wait_for(supervisor.settled.wait(), 20)
+            await asyncio.wait_for(supervisor.settled.wait(), 60)
         yield made
 
 

@@ -47,7 +47,7 @@ class Counts(RuleBasedStateMachine):
 
     def do(self, work: Awaitable[Any]) -> Any:
         async def bounded() -> Any:
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 return await work
 
         return self.runner.run(bounded())

@@ -26,7 +26,7 @@ __all__ = ["ADMIN", "HALF", "KIND", "Gateway", "recording"]
 
 (KIND,) = rcp_recorder.rcp_features()
 PATH = "/system/recorder"
-BOUND = 20.0  # s
+BOUND = 60.0  # s
 ADMIN, HALF = "admin-admin-admin-admin", "half-half-half-half"
 Speed = quantity("m/s")
 

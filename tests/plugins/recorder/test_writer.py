@@ -28,7 +28,7 @@ from rcp_recorder.repair import DAMAGED, repair
 from rcp_recorder.writer import Writer
 from rcp_recordings.names import ACTIVE
 
-BOUND = 20.0  # s
+BOUND = 60.0  # s
 HERE = Path(__file__).parent
 
 

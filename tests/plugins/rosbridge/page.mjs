@@ -8,7 +8,7 @@ import * as ROSLIB from 'roslib';
 const [url, token, text] = process.argv.slice(2);
 const facts = JSON.parse(text);
 const found = {};
-const BOUND = 20_000;
+const BOUND = 60_000;
 
 function within(promise, what) {
   const late = new Promise((_, no) => setTimeout(() => no(new Error(`late: ${what}`)), BOUND).unref());

@@ -18,7 +18,7 @@ from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind
 from rcp_rosbridge import ROSBRIDGE
 
-BOUND = 20.0  # s that any wait of a test may take
+BOUND = 60.0  # s that any wait of a test may take
 OPERATOR = "operator-of-these-tests"
 ROVER = backend("rover", use="sim", seed=1)
 ROBOT = backend("robot")

@@ -9,7 +9,7 @@ from typing import Any
 
 import roslibpy
 
-BOUND = 20.0
+BOUND = 60.0
 host, port, text = sys.argv[1:4]
 facts: dict[str, Any] = json.loads(text)
 found: dict[str, Any] = {}

@@ -6,7 +6,7 @@
 import * as ROSLIB from 'roslib';
 
 const [url, token] = process.argv.slice(2);
-const BOUND = 30_000;
+const BOUND = 60_000;
 
 function within(promise, what) {
   const late = new Promise((_, no) => setTimeout(() => no(new Error(`late: ${what}`)), BOUND).unref());

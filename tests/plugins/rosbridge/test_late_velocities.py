@@ -56,7 +56,7 @@ async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
         for speed in (0.1, 0.2):
             await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": speed}})
         (robot,) = robots
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             await robot.begun.wait()
         await client.values("/rosapi/get_time")  # the second message has been received
         loop = asyncio.get_running_loop()
@@ -67,7 +67,7 @@ async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
         robot.confirm.set()
         await client.status("messages on /cmd_vel come faster")
         await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.3}})
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             await robot.begun.wait()
         assert robot.taken == [0.1, 0.3]
 

@@ -50,7 +50,7 @@ async def offer(provider: Page, caller: Page, name: str = ADD, **more: Any) -> N
 
 async def listed(caller: Page, name: str, *, present: bool = True) -> None:
     """Wait until a service is there, or is not."""
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while (name in (await caller.values("/rosapi/services"))["services"]) != present:
             pass
 
@@ -135,7 +135,7 @@ async def test_a_page_withdraws_what_it_offers_and_offers_it_again(
 
 async def test_an_action_has_feedback_a_result_and_a_cancel(provider: Page, caller: Page) -> None:
     await provider.send(op="advertise_action", action=GO, type="my_msgs/action/Go")
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while GO not in (await caller.values("/rosapi/action_servers"))["action_servers"]:
             pass
     goal = {"op": "send_action_goal", "action": GO, "feedback": True, "args": {"x": 1}}
@@ -204,7 +204,7 @@ async def test_a_page_that_was_loaded_again_has_its_name_again(gateway: Site, ca
         await new.values("/rosapi/get_time")
         await old.socket.close()
         await caller.values("/rosapi/get_time")
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while True:
                 await caller.send(op="call_service", id="c", service=ADD, timeout=5)
                 done = asyncio.ensure_future(caller.op("service_response", id="c"))

@@ -27,7 +27,7 @@ class TestRosbridge(AdapterSuite):
     async def _shown(self, socket: object) -> str:
         topics = json.dumps({"op": "call_service", "id": "1", "service": "/rosapi/topics"})
         shown = ""
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             await socket.send(topics)  # type: ignore[attr-defined]
             while '"1"' not in shown:
                 shown += await socket.recv()  # type: ignore[attr-defined]

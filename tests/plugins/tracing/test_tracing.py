@@ -27,7 +27,7 @@ TRACE = "4bf92f3577b34da6a3ce929d0e0e4736"
 SPAN = "00f067aa0ba902b7"
 PARENT = f"00-{TRACE}-{SPAN}-01"
 DOUBLE = "/tenant/alpha/service/clear_faults"
-BOUND = 20.0  # s
+BOUND = 60.0  # s
 
 
 @pytest.fixture

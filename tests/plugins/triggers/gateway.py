@@ -25,7 +25,7 @@ OPERATOR, ADMIN, LIMITED, OTHER = (
     f"{n}-{n}-{n}" for n in ("operator", "admin", "limited", "other")
 )
 Level = quantity("1", ge=0, le=100)
-BOUND = 20.0  # s
+BOUND = 60.0  # s
 
 
 def robot(host: Host) -> ScriptedRobot:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from standardwebhooks import Webhook
 
 KEY = "MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSwMfKQ9r8GKYqrTwjU"
-BOUND = 20.0  # s
+BOUND = 60.0  # s
 
 
 class Got(NamedTuple):

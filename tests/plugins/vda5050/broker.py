@@ -21,7 +21,7 @@ __all__ = ["MOSQUITTO", "Cable", "Master", "broker", "cable"]
 
 _FOLDERS = "/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin"
 MOSQUITTO = shutil.which("mosquitto", path=_FOLDERS)
-BOUND = 40.0  # s
+BOUND = 60.0  # s
 OWN = ("order", "instantActions", "zoneSet", "responses")
 """Topics of the fleet manager."""
 

@@ -42,7 +42,7 @@ class Depot:
         self.admin: Client = served.client(ADMIN)
 
     async def estop(self, **body: Any) -> None:
-        reply = await self.admin.request("execute", "/system/estop", body=body, within=30.0)
+        reply = await self.admin.request("execute", "/system/estop", body=body, within=60.0)
         assert reply["status"] == "completed", reply
 
     async def pose(self, tenant: str = "r1") -> tuple[float, float]:

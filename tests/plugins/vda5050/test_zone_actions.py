@@ -67,7 +67,7 @@ async def test_what_lasts_in_a_zone_ends_on_leaving_it() -> None:
     actions = ZoneActions(performer, news.set)
 
     async def until(*statuses: str) -> None:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while tuple(each.status for each in actions.states.values()) != statuses:
                 news.clear()
                 await news.wait()
