@@ -399,3 +399,7 @@ class BackendKind(msgspec.Struct, frozen=True):
     check: Callable[[Any], None] | None = None
     """Raises `ConfigError` for faults that the type of the table cannot express, such as a missing
     file; also called by `rcpd check`, so it opens nothing."""
+    wants: tuple[str, ...] = ()
+    """Modules of an extra without which it does less; `rcpd check` warns where one is not installed."""
+    remedy: str | None = None
+    """What to do where one of `needs` is not installed; None: install the extra."""

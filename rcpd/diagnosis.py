@@ -9,7 +9,14 @@ from typing import Any
 
 import msgspec
 
-from rcp_gateway.plugins import GROUPS, Plugins, installed
+from rcp_gateway.plugins import (
+    GROUPS,
+    AnyKind,
+    Plugins,
+    install_remedy,
+    installed,
+    wanted_module,
+)
 from rcp_gateway.server import Prepared, prepare
 from rcp_kernel.access.identities import check_proofs
 from rcp_kernel.config.features import BUILTIN
@@ -34,6 +41,8 @@ class Diagnosis:
         self._source = source
         self._survey = Survey(text, source, show_values=show_values)
         self._points = {group: installed(group) for group in GROUPS}
+        self._lesser: list[Finding] = []
+        """What does less, for lack of a library."""
         if self._survey.readable:
             self._examine()
 
@@ -64,7 +73,11 @@ class Diagnosis:
 
     @property
     def warnings(self) -> list[Finding]:
-        """What may be meant: a hub without a listener still serves programs of its own."""
+        """What may be meant: libraries without which less is served, and a gateway without a listener."""
+        return sorted([*self._unheard(), *self._lesser], key=lambda one: (one.file or "", one.line))
+
+    def _unheard(self) -> list[Finding]:
+        # A hub without a listener still serves programs of its own.
         if set(self._survey.config.transports) - (set(TRANSPORTS) - {"asgi"}):
             return []
         text = "nothing listens, so no client can reach this gateway: remove `asgi = false`"
@@ -92,6 +105,7 @@ class Diagnosis:
             survey.collector.add((), str(error))
             return
         self._report_missing(plugins)
+        self._report_wanted(plugins)
         self._examine_backends(plugins)
         self._examine_clients("transports", config.transports, plugins.transports, config)
         self._examine_clients("plugins", config.plugins, plugins.adapters, config)
@@ -146,6 +160,23 @@ class Diagnosis:
             text = f"cannot be imported: {one.reason}; try: {one.remedy}"
             for place in places:
                 self._survey.collector.add(place, f"{one.group} '{one.name}' {text}")
+
+    def _report_wanted(self, plugins: Plugins) -> None:
+        """Warn of what is served, but does less without a library that is not installed."""
+        survey, found = self._survey, list[tuple[str, AnyKind, Place]]()
+        for index, backend in enumerate(survey.config.backends):
+            if (kind := plugins.backends.get(backend.use)) is not None:
+                found.append(("backends", kind, self._use(index)))
+        for name, adapter in plugins.adapters.items():
+            found.append(("plugins", adapter, ("plugins", name)))
+        for group, kind, place in found:
+            point, module = self._points[group].get(kind.name), wanted_module(kind)
+            if module is not None and point is not None:
+                text = (
+                    f"{group} '{kind.name}' works, but does less without the library '{module}', "
+                    f"which is not installed; try: {install_remedy(point)}"
+                )
+                self._lesser.append(survey.finding(place, text))
 
     def _examine_backends(self, plugins: Plugins) -> None:
         collector = self._survey.collector

@@ -118,6 +118,11 @@ class Survey:
         ]
         return sorted(found, key=lambda one: (one.file or "", one.line))
 
+    def finding(self, place: Place, message: str) -> Finding:
+        """Return what is to be told of a place."""
+        line = line_of(place, self._lines)
+        return Finding(line, *self._named(place), message, self._file(place))
+
     def _file(self, place: Place) -> str | None:
         """Return the included file of a node, or of the nearest one around it that has a line."""
         while place not in self._lines and place:

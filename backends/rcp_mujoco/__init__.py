@@ -38,4 +38,5 @@ async def open_mujoco(config: MujocoConfig, host: Host) -> AsyncGenerator[Backen
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer simulated robots."""
     text = "Robots in the MuJoCo simulator."
-    return [BackendKind("mujoco", MujocoConfig, open_mujoco, text, needs=("mujoco",))]
+    needs, wants = ("mujoco", "numpy"), ("OpenGL",)  # which draws cameras
+    return [BackendKind("mujoco", MujocoConfig, open_mujoco, text, needs, wants=wants)]
