@@ -24,10 +24,12 @@ from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
 from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_protocol.plain import is_map
+from rcp_toml.encoding import decoded
 from rcp_toml.positions import Place
-from rcpd.faults import FAULTY
+from rcpd.faults import FAULTY, place_in
 from rcpd.installed import obstacle
 from rcpd.survey import Finding, Survey
+from rcpd.suspicions import misplaced_store, suspicions
 from rcpd.words import nearest
 
 __all__ = ["Diagnosis", "explained", "first_of"]
@@ -73,8 +75,12 @@ class Diagnosis:
 
     @property
     def warnings(self) -> list[Finding]:
-        """What may be meant: libraries without which less is served, and a gateway without a listener."""
-        return sorted([*self._unheard(), *self._lesser], key=lambda one: (one.file or "", one.line))
+        """What may be meant, although it is suspicious, or does less for lack of a library."""
+        survey = self._survey
+        doubts = suspicions(survey.config, survey.raw, survey.secret_files)
+        found = [survey.finding(place, text) for place, text in doubts]
+        found += [*self._unheard(), *self._lesser]
+        return sorted(found, key=lambda one: (one.file or "", one.line))
 
     def _unheard(self) -> list[Finding]:
         # A hub without a listener still serves programs of its own.
@@ -112,6 +118,8 @@ class Diagnosis:
         for name, raw in config.active_features.items():
             if name in plugins.features:
                 self._examine_feature(plugins.features[name], raw, config)
+        if (misplaced := misplaced_store(config)) is not None:
+            survey.collector.add(("store", "path"), misplaced)
         for index, one in enumerate(config.certificates):
             with survey.checking(survey.collector.original(("certificates", index))):
                 check_proofs(msgspec.structs.replace(config, certificates=(one,)), "")
@@ -180,6 +188,7 @@ class Diagnosis:
 
     def _examine_backends(self, plugins: Plugins) -> None:
         collector = self._survey.collector
+        held: dict[str, str] = {}
         for index, backend in enumerate(self._survey.config.backends):
             kind = plugins.backends.get(backend.use)
             if kind is None:
@@ -189,6 +198,12 @@ class Diagnosis:
             if left is not FAULTY and kind.check is not None and not self._survey.faulty(place):
                 with self._survey.checking(place, backend.options):
                     kind.check(msgspec.convert(left, kind.config, strict=True))
+            if left is not FAULTY and kind.exclusive is not None:
+                for one in kind.exclusive(msgspec.convert(left, kind.config, strict=True)):
+                    other = held.setdefault(one, backend.name)
+                    if other is not backend.name:
+                        text = f"'{one}' is used by the backend '{other}' already: only one can open it"
+                        collector.add(place_in(text, backend.options, place), text)
 
     def _examine_clients(
         self,
@@ -231,8 +246,8 @@ class Diagnosis:
 def explained(error: StartupError, path: Path) -> str:
     """Return why a file cannot be served: its first fault with its line, and how many there are."""
     try:
-        findings = Diagnosis(path.read_text(encoding="utf-8"), str(path)).findings
-    except (OSError, UnicodeDecodeError, ConfigError):
+        findings = Diagnosis(decoded(path.read_bytes()), str(path)).findings
+    except (OSError, ConfigError):
         findings = []
     if not findings:
         return str(error)

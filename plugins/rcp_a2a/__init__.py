@@ -34,13 +34,18 @@ async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[d
         yield facts
 
 
-def _check(config: A2aConfig, _gateway: GatewayConfig) -> None:
+def _check(config: A2aConfig, gateway: GatewayConfig) -> None:
     if config.grpc is not None and find_spec("grpc") is None:
         raise ConfigError(
             "[plugins.a2a.grpc]: `grpc` needs a library: No module named 'grpc'; try: "
             "pip install 'rcp-gateway[grpc]'"
         )
     check(config)
+    served = gateway.transports.get("asgi", {}).get("port", 8080)
+    if config.grpc is not None and config.grpc.port == served != 0:
+        raise ConfigError(
+            f"[plugins.a2a.grpc]: `grpc.port`: {served} is the port of [transports.asgi]: write another"
+        )
 
 
 @hookimpl

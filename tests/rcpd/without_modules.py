@@ -9,22 +9,22 @@ from importlib.machinery import ModuleSpec, PathFinder
 
 from rcpd.cli import main  # before anything is hidden, and in every child
 
-hidden = ""
-
 
 class Without(PathFinder):
     """Finds what is installed but for one module."""
 
+    hidden = ""
+
     @classmethod
     def find_spec(cls, fullname, path=None, target=None) -> ModuleSpec | None:  # noqa: ANN001
-        if fullname == hidden or fullname.startswith(f"{hidden}."):
+        if fullname == cls.hidden or fullname.startswith(f"{cls.hidden}."):
             return None
         return super().find_spec(fullname, path, target)
 
 
 file, *modules = sys.argv[1:]
 sys.meta_path = [Without if one is PathFinder else one for one in sys.meta_path]
-for hidden in modules:
+for Without.hidden in modules:
     if (child := os.fork()) == 0:
         try:
             main(["check", "--json", file], standalone_mode=False)
@@ -35,4 +35,5 @@ for hidden in modules:
         sys.stdout.flush()
         os._exit(0)
     os.waitpid(child, 0)
-    print("\0", end="", flush=True)
+    sys.stdout.write("\0")
+    sys.stdout.flush()
