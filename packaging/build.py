@@ -227,7 +227,9 @@ def container() -> None:
     run(builder, *verb, *arguments, "-f", _CONTAINERFILE, "-t", tag, ".")
     if builder != "docker":
         (DIST / f"rcp-gateway-{VERSION}.oci.tar").unlink(missing_ok=True)
-        run(builder, "push", tag, f"oci-archive:{DIST}/rcp-gateway-{VERSION}.oci.tar")
+        # The least work of gzip, which every program reads, for a tenth more bytes.
+        level = ("--compression-format", "gzip", "--compression-level", "1")
+        run(builder, "push", *level, tag, f"oci-archive:{DIST}/rcp-gateway-{VERSION}.oci.tar")
 
 
 def sbom() -> None:

@@ -56,7 +56,7 @@ def test_a_suspicion_is_a_warning_with_its_line(
 def test_a_store_that_this_user_cannot_write_is_a_warning(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(os, "access", lambda _, mode: mode != os.W_OK)
     file.write_text('[store]\npath = "absent/rcp.db"\n')
     code, output = checked(file)
     assert code == 0
