@@ -15,6 +15,7 @@ from rcp_gateway.plugins import (
     Plugins,
     install_remedy,
     installed,
+    missing_module,
     wanted_module,
 )
 from rcp_gateway.server import Prepared, prepare
@@ -23,6 +24,7 @@ from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
 from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
+from rcp_kernel.spi import BackendKind
 from rcp_protocol.plain import is_map
 from rcp_toml.encoding import decoded
 from rcp_toml.positions import Place
@@ -179,10 +181,12 @@ class Diagnosis:
             found.append(("plugins", adapter, ("plugins", name)))
         for group, kind, place in found:
             point, module = self._points[group].get(kind.name), wanted_module(kind)
-            if module is not None and point is not None:
+            if module is not None and point is not None and missing_module(kind) is None:
+                apart = isinstance(kind, BackendKind) and kind.remedy is not None
+                remedy = f"pip install {module}" if apart else install_remedy(point)
                 text = (
                     f"{group} '{kind.name}' works, but does less without the library '{module}', "
-                    f"which is not installed; try: {install_remedy(point)}"
+                    f"which is not installed; try: {remedy}"
                 )
                 self._lesser.append(survey.finding(place, text))
 

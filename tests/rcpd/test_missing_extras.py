@@ -147,7 +147,7 @@ def test_each_missing_library_is_told_with_its_line_and_command(extra: str, tmp_
             line = re.match(rf"{re.escape(str(file))}:(\d+): ", text)
             told.append((int(line[1]) if line else 0, text))
         with_it = [one for one in EXTRAS if one in CASES and name in required(one)]
-        commands = [f"rcp-gateway[{one}]" for one in with_it]
+        commands = [f"pip install {name}", *(f"rcp-gateway[{one}]" for one in with_it)]
         named = [
             text
             for line, text in told
