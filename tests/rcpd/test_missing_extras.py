@@ -54,7 +54,7 @@ audience = "a"
 jwks_url = "https://issuer.example/jwks"
 role = "viewer"
 """,
-    "mavlink": '[[backends]]\nuse = "mavlink" #!\ntenant = "a"\nconnect = "udpin:127.0.0.1:14550"\n',
+    "mavlink": '[[backends]]\nuse = "mavlink" #!\ntenant = "a"\nlinks = ["udpin:127.0.0.1:14550"]\n',
     "mcp": "[plugins.mcp] #!\n",
     "mujoco": '[[backends]]\nuse = "mujoco" #!\ntenant = "a"\nmodel = "robot.xml"\n',
     "replay": '[[backends]]\nuse = "replay" #!\ntenant = "a"\nfile = "a.mcap"\n',
