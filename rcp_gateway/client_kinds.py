@@ -48,3 +48,7 @@ class AdapterKind(msgspec.Struct, frozen=True):
     description: str = ""
     needs: tuple[str, ...] = ()
     """As for `BackendKind`."""
+    wants: tuple[str, ...] = ()
+    """As for `BackendKind`."""
+    check: Callable[[Any, GatewayConfig], None] | None = None
+    """As for `TransportKind`."""

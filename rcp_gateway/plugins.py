@@ -29,6 +29,7 @@ from rcp_kernel.spi import BackendKind
 
 __all__ = [
     "GROUPS",
+    "AnyKind",
     "Missing",
     "Plugins",
     "collect",
@@ -36,6 +37,7 @@ __all__ = [
     "install_remedy",
     "installed",
     "missing_module",
+    "wanted_module",
 ]
 
 GROUPS = {
@@ -44,6 +46,7 @@ GROUPS = {
     "backends": "rcp.backends",
     "features": "rcp.features",
 }
+AnyKind = BackendKind | TransportKind | AdapterKind | FeatureKind
 _OWN = "rcp-gateway"
 """The distribution of the built-in features."""
 
@@ -78,9 +81,18 @@ def _by_name(group: str, points: Iterable[EntryPoint]) -> dict[str, EntryPoint]:
     return found
 
 
-def missing_module(kind: BackendKind | TransportKind | AdapterKind | FeatureKind) -> str | None:
+def missing_module(kind: AnyKind) -> str | None:
     """Return the first required module that is not installed; None if all are."""
-    return next((name for name in kind.needs if not _is_installed(name)), None)
+    return _first_missing(kind.needs)
+
+
+def wanted_module(kind: AnyKind) -> str | None:
+    """Return the first module that is not installed and without which the kind does less."""
+    return _first_missing(kind.wants) if isinstance(kind, (BackendKind, AdapterKind)) else None
+
+
+def _first_missing(modules: Iterable[str]) -> str | None:
+    return next((name for name in modules if not _is_installed(name)), None)
 
 
 def _is_installed(module: str) -> bool:
@@ -101,11 +113,13 @@ def import_remedy(error: BaseException, point: EntryPoint) -> str:
     return f"fix its module {point.value}, or remove '{point.name}' from the configuration"
 
 
-def install_remedy(point: EntryPoint) -> str:
+def install_remedy(point: EntryPoint, kind: AnyKind | None = None) -> str:
     """Return the command that installs the missing requirement of a plugin.
 
-    An extra named like the plugin contains its libraries.
+    An extra named like the plugin contains its libraries, unless its kind says otherwise.
     """
+    if isinstance(kind, BackendKind) and kind.remedy is not None:
+        return kind.remedy
     if point.dist is None:
         return "install the distribution that offers it again"
     extras = point.dist.metadata.get_all("Provides-Extra") or ()
@@ -218,7 +232,7 @@ class Plugins:
     def _check_needs(
         self,
         group: str,
-        kinds: Mapping[str, BackendKind | TransportKind | AdapterKind | FeatureKind],
+        kinds: Mapping[str, AnyKind],
     ) -> list[str]:
         """Record the kinds that lack a library as missing, and return their names."""
         points, found = self.points[group], list[str]()
@@ -226,7 +240,7 @@ class Plugins:
             module = missing_module(kind)
             if module is not None and (point := points.get(name)) is not None:
                 reason = f"No module named '{module}'"
-                self.missing.append(Missing(group, name, reason, install_remedy(point)))
+                self.missing.append(Missing(group, name, reason, install_remedy(point, kind)))
                 found.append(name)
         return found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
@@ -103,13 +103,9 @@ def prepare(config: GatewayConfig, source: str) -> Prepared:
                 raise ConfigError(f"{where}{error}") from None
         backends.append(table)
     transports = _tables(config.transports, plugins.transports, f"{source}: [transports.")
-    for name, table in transports.items():
-        if (check := plugins.transports[name].check) is not None:
-            try:
-                check(table, config)
-            except ConfigError as error:
-                raise ConfigError(f"{source}: {error}") from None
+    _check_tables(transports, plugins.transports, config, source)
     adapters = _tables(config.plugins, plugins.adapters, f"{source}: [plugins.")
+    _check_tables(adapters, plugins.adapters, config, source)
     features = active(config, plugins.features, source)
     return Prepared(config, plugins, tuple(backends), transports, adapters, features)
 
@@ -120,6 +116,20 @@ def _tables(raw: dict[str, dict[str, Any]], kinds: dict[str, Any], where: str) -
         for name, table in raw.items()
         if name in kinds
     }
+
+
+def _check_tables(
+    tables: dict[str, Any],
+    kinds: Mapping[str, TransportKind | AdapterKind],
+    config: GatewayConfig,
+    source: str,
+) -> None:
+    for name, table in tables.items():
+        if (check := kinds[name].check) is not None:
+            try:
+                check(table, config)
+            except ConfigError as error:
+                raise ConfigError(f"{source}: {error}") from None
 
 
 @asynccontextmanager

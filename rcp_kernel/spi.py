@@ -7,7 +7,7 @@ interface of transports and adapters is in `rcp_gateway`: `client_kinds` and `cl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, nullcontext
 from typing import Any, Protocol
 
@@ -399,3 +399,9 @@ class BackendKind(msgspec.Struct, frozen=True):
     check: Callable[[Any], None] | None = None
     """Raises `ConfigError` for faults that the type of the table cannot express, such as a missing
     file; also called by `rcpd check`, so it opens nothing."""
+    wants: tuple[str, ...] = ()
+    """Modules of an extra without which it does less; `rcpd check` warns where one is not installed."""
+    exclusive: Callable[[Any], Iterable[str]] | None = None
+    """Returns what no other backend can have open, such as ports; `rcpd check` refuses two of one."""
+    remedy: str | None = None
+    """What to do where one of `needs` is not installed; None: install the extra."""

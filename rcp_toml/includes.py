@@ -36,6 +36,10 @@ def included(raw: dict[str, Any], source: str) -> Iterator[Part]:
             continue  # the type of the key says so
         folder = Path(source).parent
         for path in _named(name, folder):
+            if path.is_dir():
+                raise ConfigError(f"`include`: {path} is a folder: write '{path / '*.toml'}'")
+            if path.absolute() == Path(source).absolute():
+                raise ConfigError(f"`include`: {path} is this file itself: take it out")
             try:
                 text = read_named(str(path), folder, _LARGEST)
             except ConfigError as error:

@@ -7,6 +7,7 @@ import stat
 from pathlib import Path
 
 from rcp_protocol.errors import ConfigError
+from rcp_toml.encoding import decoded
 
 __all__ = ["read_named"]
 
@@ -25,9 +26,7 @@ def read_named(name: str, folder: Path, limit: int) -> str:
             data = file.read(limit + 1)
         if len(data) > limit:
             raise ConfigError(f"it is longer than {limit} bytes")
-        return data.decode()
-    except UnicodeDecodeError:
-        raise ConfigError("it is not UTF-8") from None
+        return decoded(data)
     except OSError as error:
         raise ConfigError(error.strerror or str(error)) from None
     except (RuntimeError, ValueError) as error:  # an unknown user's `~`, a NUL

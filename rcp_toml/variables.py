@@ -13,7 +13,7 @@ from rcp_protocol.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
 from rcp_toml.named_file import read_named
 
-__all__ = ["Secret", "Withheld", "is_dear", "secrets_of", "substituted"]
+__all__ = ["Secret", "Withheld", "files_of", "is_dear", "secrets_of", "substituted"]
 
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)(?::-([^{}]*))?\}")
 _FILE = re.compile(r"\$\{file:((?:[^${}]|\$\{[A-Za-z_][A-Za-z0-9_]*\})+)\}")
@@ -60,6 +60,15 @@ def substituted(text: str, folder: Path) -> str:
     pieces.append(_with_variables(text[end:]))
     fresh = "".join(pieces)
     return text if fresh == text else Secret(fresh)
+
+
+def files_of(text: str, folder: Path) -> list[Path]:
+    """Return the files that a string is read from.
+
+    :raises ConfigError: a variable in the name of one is not set.
+    """
+    found = (_with_variables(one[1]) for one in _FILE.finditer(text))
+    return [folder / Path(name).expanduser() for name in found]
 
 
 def _with_variables(text: str) -> str:

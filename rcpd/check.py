@@ -13,7 +13,9 @@ import msgspec
 
 from rcp_kernel.config.file import GatewayConfig
 from rcp_store.damage import find_damage
-from rcpd.exits import FAILED, fail
+from rcpd.exits import FAILED
+from rcpd.reading import text_of
+from rcpd.survey import Finding
 
 __all__ = ["check"]
 
@@ -24,21 +26,24 @@ __all__ = ["check"]
 def check(config: Path, *, as_json: bool) -> None:
     """Report every fault of a configuration file, each with its line and what to write instead.
 
-    Opens no robot and no socket. Exit code: 0, or 1 if there is a fault.
+    Opens no robot and no socket. Exit code: 0, or 1 if there is a fault. A library that a configured
+    part cannot work without is a fault, although the gateway would serve the other parts; one without
+    which a part does less is a warning.
     """
     from rcpd.diagnosis import Diagnosis
 
-    try:
-        text = config.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        fail(f"{config}: cannot be read: {error}")
-    found = Diagnosis(text, str(config))
-    warnings = [one.text(str(config)) for one in found.warnings]
-    prepared = found.prepared()
+    text = text_of(config)
+    if isinstance(text, Finding):
+        findings, warnings, prepared, full = [text], list[str](), None, False
+    else:
+        found = Diagnosis(text, str(config))
+        prepared = found.prepared()
+        warnings = [one.text(str(config)) for one in found.warnings]
+        findings, full = found.findings, found.full
     if prepared is not None:
         warnings += _warnings(prepared.config, config)
     if as_json:
-        faults = [msgspec.to_builtins(one) for one in found.findings]
+        faults = [msgspec.to_builtins(one) for one in findings]
         answer = {"file": str(config), "ok": not faults, "faults": faults, "warnings": warnings}
         click.echo(msgspec.json.format(msgspec.json.encode(answer)))
         sys.exit(FAILED if faults else 0)
@@ -47,10 +52,10 @@ def check(config: Path, *, as_json: bool) -> None:
     if prepared is not None:
         _summarise(prepared.config, config)
         return
-    count = f"{len(found.findings)}{' or more' if found.full else ''}"
+    count = f"{len(findings)}{' or more' if full else ''}"
     noun = "fault" if count == "1" else "faults"
     click.echo(f"rcpd: {config}: {count} {noun}", err=True)
-    for one in found.findings:
+    for one in findings:
         click.echo(one.text(str(config)), err=True)
     sys.exit(FAILED)
 

@@ -9,18 +9,29 @@ from typing import Any
 
 import msgspec
 
-from rcp_gateway.plugins import GROUPS, Plugins, installed
+from rcp_gateway.plugins import (
+    GROUPS,
+    AnyKind,
+    Plugins,
+    install_remedy,
+    installed,
+    missing_module,
+    wanted_module,
+)
 from rcp_gateway.server import Prepared, prepare
 from rcp_kernel.access.identities import check_proofs
 from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
 from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
+from rcp_kernel.spi import BackendKind
 from rcp_protocol.plain import is_map
+from rcp_toml.encoding import decoded
 from rcp_toml.positions import Place
-from rcpd.faults import FAULTY
+from rcpd.faults import FAULTY, place_in
 from rcpd.installed import obstacle
 from rcpd.survey import Finding, Survey
+from rcpd.suspicions import misplaced_store, suspicions
 from rcpd.words import nearest
 
 __all__ = ["Diagnosis", "explained", "first_of"]
@@ -34,6 +45,8 @@ class Diagnosis:
         self._source = source
         self._survey = Survey(text, source, show_values=show_values)
         self._points = {group: installed(group) for group in GROUPS}
+        self._lesser: list[Finding] = []
+        """What does less, for lack of a library."""
         if self._survey.readable:
             self._examine()
 
@@ -64,7 +77,15 @@ class Diagnosis:
 
     @property
     def warnings(self) -> list[Finding]:
-        """What may be meant: a hub without a listener still serves programs of its own."""
+        """What may be meant, although it is suspicious, or does less for lack of a library."""
+        survey = self._survey
+        doubts = suspicions(survey.config, survey.raw, survey.secret_files)
+        found = [survey.finding(place, text) for place, text in doubts]
+        found += [*self._unheard(), *self._lesser]
+        return sorted(found, key=lambda one: (one.file or "", one.line))
+
+    def _unheard(self) -> list[Finding]:
+        # A hub without a listener still serves programs of its own.
         if set(self._survey.config.transports) - (set(TRANSPORTS) - {"asgi"}):
             return []
         text = "nothing listens, so no client can reach this gateway: remove `asgi = false`"
@@ -92,12 +113,15 @@ class Diagnosis:
             survey.collector.add((), str(error))
             return
         self._report_missing(plugins)
+        self._report_wanted(plugins)
         self._examine_backends(plugins)
         self._examine_clients("transports", config.transports, plugins.transports, config)
         self._examine_clients("plugins", config.plugins, plugins.adapters, config)
         for name, raw in config.active_features.items():
             if name in plugins.features:
                 self._examine_feature(plugins.features[name], raw, config)
+        if (misplaced := misplaced_store(config)) is not None:
+            survey.collector.add(("store", "path"), misplaced)
         for index, one in enumerate(config.certificates):
             with survey.checking(survey.collector.original(("certificates", index))):
                 check_proofs(msgspec.structs.replace(config, certificates=(one,)), "")
@@ -147,8 +171,28 @@ class Diagnosis:
             for place in places:
                 self._survey.collector.add(place, f"{one.group} '{one.name}' {text}")
 
+    def _report_wanted(self, plugins: Plugins) -> None:
+        """Warn of what is served, but does less without a library that is not installed."""
+        survey, found = self._survey, list[tuple[str, AnyKind, Place]]()
+        for index, backend in enumerate(survey.config.backends):
+            if (kind := plugins.backends.get(backend.use)) is not None:
+                found.append(("backends", kind, self._use(index)))
+        for name, adapter in plugins.adapters.items():
+            found.append(("plugins", adapter, ("plugins", name)))
+        for group, kind, place in found:
+            point, module = self._points[group].get(kind.name), wanted_module(kind)
+            if module is not None and point is not None and missing_module(kind) is None:
+                apart = isinstance(kind, BackendKind) and kind.remedy is not None
+                remedy = f"pip install {module}" if apart else install_remedy(point)
+                text = (
+                    f"{group} '{kind.name}' works, but does less without the library '{module}', "
+                    f"which is not installed; try: {remedy}"
+                )
+                self._lesser.append(survey.finding(place, text))
+
     def _examine_backends(self, plugins: Plugins) -> None:
         collector = self._survey.collector
+        held: dict[str, str] = {}
         for index, backend in enumerate(self._survey.config.backends):
             kind = plugins.backends.get(backend.use)
             if kind is None:
@@ -158,6 +202,12 @@ class Diagnosis:
             if left is not FAULTY and kind.check is not None and not self._survey.faulty(place):
                 with self._survey.checking(place, backend.options):
                     kind.check(msgspec.convert(left, kind.config, strict=True))
+            if left is not FAULTY and kind.exclusive is not None:
+                for one in kind.exclusive(msgspec.convert(left, kind.config, strict=True)):
+                    other = held.setdefault(one, backend.name)
+                    if other is not backend.name:
+                        text = f"'{one}' is used by the backend '{other}' already: only one can open it"
+                        collector.add(place_in(text, backend.options, place), text)
 
     def _examine_clients(
         self,
@@ -200,8 +250,8 @@ class Diagnosis:
 def explained(error: StartupError, path: Path) -> str:
     """Return why a file cannot be served: its first fault with its line, and how many there are."""
     try:
-        findings = Diagnosis(path.read_text(encoding="utf-8"), str(path)).findings
-    except (OSError, UnicodeDecodeError, ConfigError):
+        findings = Diagnosis(decoded(path.read_bytes()), str(path)).findings
+    except (OSError, ConfigError):
         findings = []
     if not findings:
         return str(error)

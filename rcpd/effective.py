@@ -16,7 +16,8 @@ from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS
 from rcp_protocol.plain import is_list, is_map
 from rcp_toml.variables import is_dear
 from rcpd.diagnosis import Diagnosis
-from rcpd.exits import FAILED, fail
+from rcpd.exits import FAILED
+from rcpd.reading import read
 
 __all__ = ["config_command", "effective"]
 
@@ -31,11 +32,7 @@ def config_command(config: Path) -> None:
 
     Values from the environment, and those of keys, tokens and passwords, are shown as `…`.
     """
-    try:
-        text = config.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        fail(f"{config}: cannot be read: {error}")
-    found = Diagnosis(text, str(config))
+    found = Diagnosis(read(config), str(config))
     prepared = found.prepared()
     if prepared is None:
         for one in found.findings:

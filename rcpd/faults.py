@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection, Mapping
+from datetime import date, time
 from typing import Any, get_args, get_origin
 
 import msgspec
@@ -15,6 +16,7 @@ from rcpd.words import choices, expected, members, nearest, split_annotated
 
 __all__ = ["FAULTY", "Collector", "Fault", "place_in"]
 
+_LARGEST = 2**63 - 1  # what a TOML parser has to read; nan and infinity are outside
 FAULTY: Any = object()
 """Stands for a node of which nothing is left."""
 
@@ -83,6 +85,10 @@ class Collector:
         bare = _branch(node, type_)
         if bare is Any:
             return node
+        if isinstance(node, (int, float)) and not -_LARGEST <= node <= _LARGEST:
+            what = "is too large" if abs(node) > _LARGEST else "is no number"
+            self.add(place, f"{self._show(place, node)} {what}: write {expected(type_)}")
+            return FAULTY
         before = len(self.faults)
         origin = get_origin(bare) or bare
         if is_map(node) and isinstance(bare, type) and issubclass(bare, msgspec.Struct):
@@ -190,6 +196,10 @@ class Collector:
         words = choices(type_)
         near = nearest(node, words) if words and isinstance(node, str) else None
         advice = f'; did you mean "{near}"?' if near else ""
+        if isinstance(node, str) and expected(type_).startswith("a list"):
+            advice = ", with [ ] around it"
+        elif isinstance(node, (date, time)) and expected(type_).startswith("a text"):
+            advice = ", in quotes"
         return f"{self._show(place, node)} does not fit: write {expected(type_)}{advice}"
 
 
@@ -256,7 +266,18 @@ def place_in(message: str, node: Any, place: Place) -> Place:
         if at != place and (found[1] or found.start() == 0):
             return at
     quoted = _VALUE.search(message)
-    return (quoted and _place_of(quoted[1], node, place)) or place
+    at = quoted and _place_of(quoted[1], node, place)
+    return _beside(at, message, node, place) if at else place
+
+
+def _beside(at: Place, message: str, node: Any, place: Place) -> Place:
+    """Return the place of a key that a message names in the table of a value, or that of the value."""
+    table = node
+    for step in at[len(place) : -1]:
+        table = table[step]
+    named = (found[1] for found in _QUOTED.finditer(message) if found[1])
+    key = next((one for one in named if is_map(table) and one in table), None)
+    return (*at[:-1], key) if key else at
 
 
 _VALUE = re.compile(r"'([^']+)'")

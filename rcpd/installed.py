@@ -47,5 +47,6 @@ def obstacle(point: EntryPoint) -> str | None:
         return f"{error}; {import_remedy(error, point)}"
     offers = [getattr(module, hook, None) for hook in _KINDS]
     kinds = [kind for offer in offers if offer is not None for kind in offer()]
-    name = next(filter(None, map(missing_module, kinds)), None)
-    return None if name is None else f"No module named '{name}'; {install_remedy(point)}"
+    found = ((missing_module(kind), kind) for kind in kinds)
+    name, kind = next((one for one in found if one[0] is not None), (None, None))
+    return None if name is None else f"No module named '{name}'; {install_remedy(point, kind)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Generator
 from contextlib import contextmanager
+from datetime import date, time
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
 from rcp_toml.includes import included, merge
 from rcp_toml.positions import Place, line_of, positions
-from rcp_toml.variables import Secret, is_dear, secrets_of, substituted
+from rcp_toml.variables import Secret, files_of, is_dear, secrets_of, substituted
 from rcpd.faults import FAULTY, Collector, Fault, place_in
 from rcpd.syntax import read_toml
 from rcpd.words import nearest
@@ -67,6 +68,8 @@ class Survey:
         """What must not be shown of the file, and of those that it includes."""
         self._broken = bool(document.faults)
         self._lines = positions(document.text) if self.readable else {}
+        self.secret_files: dict[Place, Path] = {}
+        """The files that `${file:}` names, by the strings that do."""
         self._files: dict[Place, str] = {}
         """The included files of nodes that are not of the file itself."""
         for line, message in document.faults:
@@ -117,6 +120,11 @@ class Survey:
             for one in faults
         ]
         return sorted(found, key=lambda one: (one.file or "", one.line))
+
+    def finding(self, place: Place, message: str) -> Finding:
+        """Return what is to be told of a place."""
+        line = line_of(place, self._lines)
+        return Finding(line, *self._named(place), message, self._file(place))
 
     def _file(self, place: Place) -> str | None:
         """Return the included file of a node, or of the nearest one around it that has a line."""
@@ -170,6 +178,9 @@ class Survey:
 
     def _shown(self, place: Place, value: Any) -> str:
         key = next((step for step in reversed(place) if isinstance(step, str)), "")
+        if value == "":
+            given = isinstance(value, Secret)
+            return "an empty text" + (", as a variable or file is empty," if given else "")
         if is_dear(key):
             return "the value"
         if isinstance(value, Secret):
@@ -180,6 +191,8 @@ class Survey:
             return "a list"
         if isinstance(value, bool):
             return "true" if value else "false"
+        if isinstance(value, (date, time)):
+            return f"the {'time' if isinstance(value, time) else 'date'} {value.isoformat()}"
         text = repr(value)
         return text if self._show_values and len(text) <= _SHOWN else "the value"
 
@@ -191,8 +204,10 @@ class Survey:
             return [self._resolved(item, (*place, i)) for i, item in enumerate(node)]
         if not isinstance(node, str):
             return node
+        folder = Path(self._file(place) or self._source).parent
         try:
-            return substituted(node, Path(self._file(place) or self._source).parent)
+            self.secret_files.update((place, path) for path in files_of(node, folder))
+            return substituted(node, folder)
         except ConfigError as error:
             self.collector.add(place, str(error))
             return FAULTY

@@ -33,6 +33,23 @@ _MENDS = {
 }
 
 
+_LOOKS = tuple(
+    (re.compile(look), mend)
+    for look, mend in {
+        r"[\u201c\u201d\u201e\u2018\u2019\u00ab\u00bb]": 'write "straight" quotes',
+        r"[\u00a0\u2000-\u200f\u202f\u2060\ufeff]": "an invisible character is here: type the "
+        "line again",
+        r"\A(<{7}|={7}|>{7}|\|{7})( |\r?\Z)": "a merge left this line: keep one of the two "
+        "versions, and remove the lines with `<<<<<<<`, `=======` and `>>>>>>>`",
+        r"\A\s*\{": "this looks like JSON: a configuration is TOML, with [table] and key = value",
+        r"\A\s*(- )?[\w-]+:(\s|\Z)": "this looks like YAML: write key = value, and [table] or "
+        "[[list]] for what is below a key",
+        r"\A[^=]+=.*;\s*(#.*)?\Z": "write no `;` at the end of a line",
+    }.items()
+)
+"""What lines of other formats, editors and tools look like, and what to write instead."""
+
+
 class Document(NamedTuple):
     """What could be read of a file."""
 
@@ -72,4 +89,10 @@ def _explain(message: str, lines: list[str]) -> tuple[int, str]:
         number = int(found[1])
     else:  # the last line with anything on it
         number = max((i for i, line in enumerate(lines, 1) if line.strip()), default=1)
+    mend = _look(lines[number - 1]) or mend
     return number, f"not TOML: {what}" + (f": {mend}" if mend else "")
+
+
+def _look(line: str) -> str | None:
+    """Return what to write instead of a line that looks like something else than TOML."""
+    return next((mend for look, mend in _LOOKS if look.search(line)), None)

@@ -28,6 +28,9 @@ _SETS = {"A-Z": "capital letters", "a-z": "small letters", "0-9": "digits"}
 _SIMPLE = re.compile(r"\^\[((?:[^\]\\]|\\.)+)\](?:\+|\{(\d+)(?:,(\d+))?\})\$?\Z")
 
 
+_PREFIX = re.compile(r"\^([\w/]+)\Z")
+
+
 def split_annotated(type_: Any) -> tuple[Any, list[Meta]]:
     """Return a type without its annotations, and those that msgspec reads."""
     metas: list[Meta] = []
@@ -114,6 +117,8 @@ def _lengths(meta: Meta) -> list[str]:
 def _of_pattern(pattern: str) -> str:
     """Return what a pattern of one set of characters accepts; of another, that it has a form."""
     simple = _SIMPLE.match(pattern)
+    if simple is None and (begins := _PREFIX.match(pattern)) is not None:
+        return f"beginning with '{begins[1]}'"
     if simple is None:
         return "in the form that the documentation gives"
     letters, least, most = simple.groups()

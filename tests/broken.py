@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["BROKEN", "Broken"]
+__all__ = ["BROKEN", "NEEDS", "Broken"]
 
 SIM = '[[backends]]\nuse = "sim"\ntenant = "alpha"\n'
 KEY = '[[keys]]\nname = "ann"\nrole = "operator"\nkey = "a-long-key-of-this-test-1"\n'
@@ -12,7 +12,15 @@ CAN = '[[backends]]\nuse = "can"\ntenant = "alpha"\n[backends.buses.can0]\ninter
 PAN = '[backends.motors.pan]\nbus = "can0"\nprofile = "cia402"\nnode = 1\nvelocity = 3.0\n'
 CERT = '[[certificates]]\nname = "arm"\nrole = "viewer"\n'
 JWT = '[[jwt]]\nissuer = "https://issuer.example"\n'
+MAVLINK = '[[backends]]\nuse = "mavlink"\ntenant = "alpha"\n'
+MUJOCO = '[[backends]]\nuse = "mujoco"\ntenant = "alpha"\n'
+VDA = "[plugins.vda5050]\n"
+GRPC = "[plugins.a2a.grpc]\n"
 RULE = '[[roles.driver.allow]]\noperations = ["read"]\n'
+
+
+NEEDS = {CAN: "can", JWT: "jwt", MAVLINK: "pymavlink", MUJOCO: "mujoco", VDA: "paho", GRPC: "grpc"}
+"""Modules of extras that a text needs."""
 
 
 class Broken(NamedTuple):
@@ -21,8 +29,8 @@ class Broken(NamedTuple):
     text: str
     says: str
     """A part of the message."""
-    mend: str
-    """Instead of the line at fault; `^` puts it at the top of the file."""
+    mend: str | None
+    """Instead of the line at fault; `^` puts it at the top of the file. None: only another file mends it."""
 
 
 BROKEN = (
@@ -126,4 +134,43 @@ BROKEN = (
     Broken(CAN.replace("simulate = true", "simulate = true #!").replace('"virtual"', '"socketcan"'), "`simulate` needs", ""),
     Broken('[transports.asgi]\nhost = "0.0.0.0" #!\n', "anonymous = false", 'host = "127.0.0.1"'),
     Broken("[features]\njwt = false #!\n" + JWT + 'audience = "a"\njwks_url = "https://issuer.example/jwks"\nrole = "viewer"\n', "uses this feature", ""),
+    # Files of other editors, formats and tools
+    Broken("name = \u201crobots\u201d #!\n", "straight", 'name = "robots"'),
+    Broken("name\u00a0= 1 #!\n", "invisible character", 'name = "a"'),
+    Broken('name = "robots"; #!\n', "no `;`", 'name = "robots"'),
+    Broken("name: robots #!\n", "looks like YAML", 'name = "robots"'),
+    Broken('{"name": "robots"} #!\n', "looks like JSON", 'name = "robots"'),
+    Broken('[log]\r\n\tlevel\t=\t"inof"\t#!\n', 'did you mean "info"', 'level = "info"'),
+    # Values of another kind
+    Broken("name = 2026-01-31 #!\n", "the date 2026-01-31", 'name = "2026-01-31"'),
+    Broken("[limits]\nmessage = 99999999999999999999999999 #!\n", "too large", "message = 4096"),
+    Broken("[limits]\nheartbeat = inf #!\n", "too large", "heartbeat = 1"),
+    Broken("[limits]\nheartbeat = nan #!\n", "no number", "heartbeat = 1"),
+    Broken(SIM + 'rate = "50" #!\n', "a number", "rate = 50"),
+    Broken(SIM.replace('"alpha"', '"plant/north" #!'), "letters, digits", 'tenant = "alpha"'),
+    Broken(RULE.replace('["read"]', '"read" #!') + 'paths = ["/**"]\n', "with [ ] around it", 'operations = ["read"]'),
+    Broken(KEY.replace('"a-long-key-of-this-test-1"', '"${RCP_EMPTY}" #!'), "a variable or file is empty", 'key = "a-long-key-of-this-test-1"'),
+    # Files and folders
+    Broken('include = ["rcp.toml"] #!\n', "this file itself", ""),
+    Broken('include = ["/tmp"] #!\n', "/tmp/*.toml", ""),
+    Broken('include = "more.toml" #!\n', "with [ ] around it", "include = []"),
+    Broken('[store]\npath = "/tmp" #!\n', "is a folder", 'path = "rcp.db"'),
+    Broken('[store]\npath = "/etc/passwd/rcp.db" #!\n', "is a file", 'path = "rcp.db"'),
+    Broken(KEY.replace('"a-long-key-of-this-test-1"', '"${file:absent.key}" #!'), "No such file", 'key = "a-long-key-of-this-test-1"'),
+    Broken('[transports.asgi]\nport = 8443\n[transports.asgi.tls]\ncertificate = "absent.pem" #!\nkey = "absent.key"\n', "No such file", None),
+    Broken(MUJOCO + 'model = "absent.xml" #!\n', "there is no file", 'model = "rover"'),
+    # Addresses
+    Broken('[transports.asgi]\nhost = "http://127.0.0.1" #!\n', "write host = '127.0.0.1'", 'host = "127.0.0.1"'),
+    Broken('[transports.asgi]\nhost = "127.0.0.1:9000" #!\n', "and port = 9000", 'host = "127.0.0.1"'),
+    Broken(f'{MAVLINK}links = ["upd:127.0.0.1:14550"] #!\n', "is not a link", 'links = ["udpin:127.0.0.1:14550"]'),
+    Broken(f'{MAVLINK}dialect = "ardupilot" #!\n', "did you mean 'ardupilotmega'", 'dialect = "ardupilotmega"'),
+    Broken(f'{MAVLINK}name = "a"\n{MAVLINK}name = "b"\nlinks = ["udpin:127.0.0.1:14550"] #!\n', "only one can open it", 'links = ["udpin:127.0.0.1:14551"]'),
+    Broken(VDA + 'broker = "http://127.0.0.1:1883" #!\n', "mqtt://HOST:PORT", 'broker = "mqtt://127.0.0.1:1883"'),
+    Broken(GRPC + "port = 8080 #!\n", "is the port of [transports.asgi]", "port = 50051"),
+    Broken(f'{JWT}audience = "a"\nrole = "viewer"\njwks_url = "issuer.example/jwks" #!\n', "https URL", 'jwks_url = "https://issuer.example/jwks"'),
+    # Motors
+    Broken(CAN + PAN.replace("node = 1", "node = 200 #!"), "1 to 127", "node = 2"),
+    Broken(CAN + PAN.replace('"cia402"', '"odrive"').replace("node = 1", "node = 64 #!"), "0 to 63", "node = 63"),
+    Broken(CAN + PAN.replace("node = 1", 'node = "0x01" #!'), "a whole number", "node = 1"),
+    Broken(SIM + '[plans.actions.go]\npath = "tenant/alpha/action/go" #!\n', "beginning with '/'", 'path = "/tenant/alpha/action/go"'),
 )  # fmt: skip

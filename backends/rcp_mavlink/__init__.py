@@ -6,17 +6,42 @@ Importing this package is cheap; pymavlink is imported when a backend is opened.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from pkgutil import iter_modules
 
 from rcp_gateway.hookspecs import hookimpl
+from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import BackendKind
 from rcp_mavlink.backend import MavlinkBackend, open_mavlink
-from rcp_mavlink.config import MavlinkConfig, TwinConfig
+from rcp_mavlink.config import LinkSpec, MavlinkConfig, TwinConfig
 
 __all__ = ["MavlinkBackend", "MavlinkConfig", "TwinConfig", "open_mavlink", "rcp_backends"]
+
+
+def _check(config: MavlinkConfig) -> None:
+    name = config.dialect
+    if name.endswith(".xml"):
+        if not Path(name).is_file():
+            raise ConfigError(f"`dialect`: there is no file '{name}'")
+    elif not name.isidentifier() or find_spec(f"pymavlink.dialects.v20.{name}") is None:
+        known = [one.name for one in iter_modules(import_module("pymavlink.dialects.v20").__path__)]
+        near = get_close_matches(name, known, n=1)
+        advice = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(sorted(known))}"
+        raise ConfigError(f"`dialect`: pymavlink has no '{name}'; {advice}")
+
+
+def _listening(config: MavlinkConfig) -> list[str]:
+    return [one for one in config.links if LinkSpec.of(one).kind in ("udpin", "tcpin", "serial")]
 
 
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Connect MAVLink vehicles."""
     text, needs = "MAVLink vehicles.", ("pymavlink", "fastcrc")
-    return [BackendKind("mavlink", MavlinkConfig, open_mavlink, text, needs)]
+    kind = BackendKind(
+        "mavlink", MavlinkConfig, open_mavlink, text, needs, _check, exclusive=_listening
+    )
+    return [kind]

@@ -9,8 +9,10 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
 from rcp_gateway.hookspecs import hookimpl
+from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_mujoco.config import MujocoConfig
+from rcp_mujoco.robots import model_path
 
 __all__ = ["MujocoConfig", "open_mujoco", "rcp_backends"]
 
@@ -34,8 +36,16 @@ async def open_mujoco(config: MujocoConfig, host: Host) -> AsyncGenerator[Backen
         yield backend
 
 
+def _check(config: MujocoConfig) -> None:
+    if not (path := model_path(config)).is_file():
+        raise ConfigError(
+            f"`model`: there is no file '{path}': write its path, or `rover` or `arm`"
+        )
+
+
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer simulated robots."""
     text = "Robots in the MuJoCo simulator."
-    return [BackendKind("mujoco", MujocoConfig, open_mujoco, text, needs=("mujoco",))]
+    needs, wants = ("mujoco", "numpy"), ("OpenGL",)  # which draws cameras
+    return [BackendKind("mujoco", MujocoConfig, open_mujoco, text, needs, _check, wants)]

@@ -22,5 +22,5 @@ def _open(config: ReplayConfig, host: object) -> object:
 def rcp_backends() -> Iterable[BackendKind]:
     """Offer replay."""
     description = "A recording, played through the tree."
-    needs = ("mcap", "mcap_ros2")
+    needs = ("mcap", "mcap_ros2", "zstandard")
     return [BackendKind("replay", ReplayConfig, _open, description, needs, check)]  # pyright: ignore[reportArgumentType]

@@ -12,6 +12,7 @@ from rcp_kernel.spi import BackendKind
 from rcp_ros2.backend import Ros2Backend, open_ros2
 from rcp_ros2.config import Mapping, Qos, Ros2Config
 from rcp_ros2.environment import check_environment
+from rcp_ros2.installation import install_advice
 from rcp_ros2.topics import PROFILE
 
 __all__ = ["PROFILE", "Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2", "rcp_backends"]
@@ -20,4 +21,14 @@ __all__ = ["PROFILE", "Mapping", "Qos", "Ros2Backend", "Ros2Config", "open_ros2"
 @hookimpl
 def rcp_backends() -> Iterable[BackendKind]:
     """Register the ROS 2 backend."""
-    return [BackendKind("ros2", Ros2Config, open_ros2, "ROS 2 robots.", check=check_environment)]
+    kind = BackendKind(
+        "ros2",
+        Ros2Config,
+        open_ros2,
+        "ROS 2 robots.",
+        needs=("rclpy", "rcl_interfaces", "numpy"),
+        check=check_environment,
+        wants=("simplejpeg",),  # JPEGs of raw images
+        remedy=install_advice(),
+    )
+    return [kind]

@@ -7,12 +7,15 @@ import os
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
-from rcp_a2a.config import A2aConfig
+from rcp_a2a.config import A2aConfig, check
+from rcp_gateway.api import GatewayConfig
 from rcp_gateway.client_api import ClientApi
 from rcp_gateway.client_kinds import AdapterKind
 from rcp_gateway.hookspecs import hookimpl
+from rcp_kernel.errors import ConfigError
 
 __all__ = ["A2aConfig", "open_a2a", "rcp_adapters"]
 
@@ -31,8 +34,22 @@ async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[d
         yield facts
 
 
+def _check(config: A2aConfig, gateway: GatewayConfig) -> None:
+    if config.grpc is not None and find_spec("grpc") is None:
+        raise ConfigError(
+            "[plugins.a2a.grpc]: `grpc` needs a library: No module named 'grpc'; try: "
+            "pip install 'rcp-gateway[grpc]'"
+        )
+    check(config)
+    served = gateway.transports.get("asgi", {}).get("port", 8080)
+    if config.grpc is not None and config.grpc.port == served != 0:
+        raise ConfigError(
+            f"[plugins.a2a.grpc]: `grpc.port`: {served} is the port of [transports.asgi]: write another"
+        )
+
+
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Provide A2A."""
-    needs = ("a2a", "starlette", "cryptography", "jwt")
-    return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "", needs=needs)]
+    needs = ("a2a", "starlette", "google.protobuf", "httpx", "cryptography", "jwt")
+    return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "", needs=needs, check=_check)]

@@ -49,4 +49,5 @@ async def open_dashboard(
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Provide the dashboard."""
-    return [AdapterKind("dashboard", DashboardConfig, open_dashboard, __doc__ or "")]
+    wants = ("numpy", "simplejpeg")  # JPEGs of raw images
+    return [AdapterKind("dashboard", DashboardConfig, open_dashboard, __doc__ or "", wants=wants)]

@@ -31,4 +31,5 @@ async def _open(config: McpConfig, client_api: ClientApi) -> AsyncGenerator[dict
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Provide MCP."""
-    return [AdapterKind("mcp", McpConfig, _open, __doc__ or "", needs=("mcp",))]
+    needs = ("mcp", "PIL", "pydantic", "httpx2")
+    return [AdapterKind("mcp", McpConfig, _open, __doc__ or "", needs=needs)]

@@ -135,7 +135,7 @@ def rcp_features() -> Iterable[FeatureKind]:
             RecorderConfig,
             _make,
             __doc__ or "",
-            needs=("mcap", "mcap_ros2"),
+            needs=("mcap", "mcap_ros2", "zstandard"),
             check=check,
             grants={"operator": (use, ask), "agent": (ask,)},
         )

@@ -32,6 +32,7 @@ from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
+from rcp_toml.encoding import NotUtf8, decoded
 from rcp_toml.includes import included, merge
 from rcp_toml.variables import Secret, Withheld, is_dear, substituted
 
@@ -195,9 +196,11 @@ def load(path: Path) -> GatewayConfig:
     :raises ConfigError: it does not exist, is not TOML, or is invalid.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
+        text = decoded(path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except NotUtf8 as error:
+        raise ConfigError(f"{path}: {error}") from None
     return parse(text, str(path))
 
 

@@ -41,6 +41,31 @@ def test_what_is_made_of_wheels_says_when_there_are_none(
         build.STEPS[step]()
 
 
+def test_a_base_image_that_cannot_be_pulled_leaves_out_the_container_alone(
+    verify: ModuleType,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    build, made = sys.modules["build"], list[str]()
+    podman = tmp_path / "podman"
+    podman.write_text("#!/bin/sh\necho 'no such host' >&2\nexit 125\n")
+    podman.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("RCP_BASE", raising=False)
+    monkeypatch.setattr(build, "DIST", tmp_path / "dist")
+    monkeypatch.setattr(build, "STEPS", {n: lambda n=n: made.append(n) for n in build.STEPS})
+    monkeypatch.setattr(sys, "argv", ["build.py"])
+    build.main()
+    assert made == [step for step in build.STEPS if step != "container"]
+    told = capsys.readouterr().out
+    assert "no container: docker.io/library/python" in told
+    assert "(no such host); with RCP_BASE=NAME" in told
+    monkeypatch.setenv("RCP_BASE", "localhost/base")
+    build.main()
+    assert "container" in made
+
+
 def test_a_gateway_that_ignores_its_end_is_ended(
     verify: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

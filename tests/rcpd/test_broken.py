@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from click.testing import CliRunner
 
-from broken import BROKEN, CAN, JWT, PAN, Broken
+from broken import BROKEN, CAN, NEEDS, PAN, Broken
 from rcpd.cli import main
 from rcpd.diagnosis import Diagnosis
 
@@ -22,28 +22,32 @@ def marked(text: str) -> list[int]:
 def mended(one: Broken) -> str:
     lines = one.text.split("\n")
     (number,) = marked(one.text)
+    assert one.mend is not None
     lines[number - 1] = "" if one.mend.startswith("^") else one.mend
     return "\n".join([one.mend[1:], *lines] if one.mend.startswith("^") else lines)
 
 
 def needs_its_extra(text: str) -> None:
-    if CAN in text:
-        pytest.importorskip("can")
-    if JWT in text:
-        pytest.importorskip("jwt")
+    for part, module in NEEDS.items():
+        if part in text:
+            pytest.importorskip(module)
 
 
 def test_there_are_enough() -> None:
-    assert len({one.text for one in BROKEN}) == len(BROKEN) >= 80
+    assert len({one.text for one in BROKEN}) == len(BROKEN) >= 110
 
 
 @pytest.mark.parametrize("one", BROKEN, ids=lambda one: one.says)
-def test_a_fault_is_told_with_its_line_and_its_mend(one: Broken) -> None:
+def test_a_fault_is_told_with_its_line_and_its_mend(
+    one: Broken, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RCP_EMPTY", "")
     needs_its_extra(one.text)
     found = Diagnosis(one.text, "rcp.toml").findings
     assert [fault.line for fault in found] == marked(one.text), found
     assert one.says in found[0].message
-    assert Diagnosis(mended(one), "rcp.toml").findings == []
+    if one.mend is not None:
+        assert Diagnosis(mended(one), "rcp.toml").findings == []
 
 
 SEVERAL = f"""\

@@ -18,6 +18,7 @@ def check_open(config: AsgiConfig, gateway: GatewayConfig) -> None:
 
     :raises ConfigError: the configuration is unsafe, or a certificate or proxy is invalid.
     """
+    _check_host(config.host)
     Proxies(config.proxies)
     if config.tls is not None:
         Tls(config.tls)
@@ -33,6 +34,20 @@ def check_door(config: AsgiConfig, client_api: ClientApi) -> None:
     :raises ConfigError: the configuration is unsafe.
     """
     _check(config, closed=client_api.requires_authentication, served=client_api.serves)
+
+
+def _check_host(host: str) -> None:
+    """Refuse what is a URL, or has a port, before it is taken for the name of another machine."""
+    bare = host.rpartition("://")[2].rstrip("/")
+    name, colon, port = bare.rpartition(":")
+    with_port = bool(colon) and port.isdecimal() and (":" not in name or name.endswith("]"))
+    if bare == host and not with_port:
+        return
+    advice = f"write host = '{name.strip('[]') if with_port else bare}'"
+    raise ConfigError(
+        f"[transports.asgi] host = '{host}' is no address: {advice}"
+        + (f" and port = {port}" if with_port else "")
+    )
 
 
 def _check(config: AsgiConfig, *, closed: bool, served: bool) -> None:
