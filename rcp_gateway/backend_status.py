@@ -52,7 +52,7 @@ class BackendStatus:
         """The mechanisms that stop its robots without the gateway, by name."""
         self.plans_changed = 0
         """Number of changes of these."""
-        self._logged_at = 0.0
+        self._logged_at = float("-inf")
 
     @property
     def availability(self) -> Availability:

@@ -23,7 +23,7 @@ class Lateness:
         self._least: float | None = None
         self._before: float | None = None
         """The least difference of this window and of the one before, s."""
-        self._began = 0.0
+        self._began = float("-inf")
         self._rises = 0
 
     def of(self, apart: float, now: float) -> float:

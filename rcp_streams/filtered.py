@@ -42,7 +42,7 @@ class FilteredPathSubscription(PathSubscription):
         self._change = Change(options.deadband, options.fields) if wants_change else None
         self._interval = min(1.0 / options.rate, _LONGEST) if options.rate else 0.0
         self._monotonic = entry.clock.monotonic
-        self._due = 0.0
+        self._due = float("-inf")
         self._waiting: Sample | None = None
         self._armed = False
         """Whether a timer is set for the waiting sample."""

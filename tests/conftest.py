@@ -8,7 +8,7 @@ import logging
 import os
 import signal
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,7 @@ import structlog
 from _pytest.faulthandler import fault_handler_stderr_fd_key
 from hypothesis import HealthCheck, settings
 
-import ahead  # noqa: F401 - first of ours: its clocks are there before anybody keeps one
+from ahead import AHEAD, machine_time  # the first of ours, so that nobody keeps another clock
 from failures import LISTED, Failure, failure, keep, note
 from lanes import is_alongside, needless, unwritten
 from pairs import left_out
@@ -99,6 +99,19 @@ def _own_logging() -> Generator[None]:
 def stepped() -> SteppedClock:
     """The time of the gateway's rules and of the test's event loop, which the test puts forward."""
     return SteppedClock()
+
+
+@pytest.fixture
+def boot(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Return a function that sets the monotonic clock to that of a machine that has just booted.
+
+    The event loop's too, but for uvloop's; a `stepped` clock goes on from there.
+    """
+
+    def booted() -> None:
+        monkeypatch.setattr(AHEAD, "booted", machine_time() + AHEAD.seconds - 0.05)
+
+    return booted
 
 
 @pytest.fixture

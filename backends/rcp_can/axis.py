@@ -72,7 +72,7 @@ class Axis(AxisState):
         """Whether the torque has been cut after a stop."""
         self._still: deque[float] = deque(maxlen=_STILL)
         """When the last consecutive velocity reports that show standstill were received."""
-        self._braked_at = 0.0
+        self._braked_at = float("-inf")
         self.owner: str | None = None
         """The action that currently controls the motor."""
         self.gone: RcpError | None = None

@@ -87,7 +87,7 @@ class BaseMove:
     ) -> None:
         """Drive until the plan ends, and wait until rest is measured."""
         began = control.distance(self._odometry.place)
-        stall, reported_at = _Stall(), 0.0
+        stall, reported_at = _Stall(), -math.inf
         while control.phase != "done":
             place, now = self._odometry.place, time.monotonic()
             left, limit = control.distance(place), speed()
@@ -148,7 +148,7 @@ class _Stall:
 
     def __init__(self) -> None:
         self._phase: Phase = "done"
-        self._best, self._improved_at = math.inf, 0.0
+        self._best, self._improved_at = math.inf, -math.inf
 
     def lasts(self, phase: Phase, remaining: float, now: float, *, waits: bool) -> bool:
         """Take what remains of a phase; `waits` if it is not meant to move."""

@@ -185,7 +185,7 @@ class Bus:
     def paced(self, what: str, period: float) -> bool:
         """Return whether a periodic frame of the whole bus is due, and mark it as sent."""
         now = time.monotonic()
-        if now < self._done.get(what, 0.0) + period:
+        if now < self._done.get(what, float("-inf")) + period:
             return False
         self._done[what] = now
         return True

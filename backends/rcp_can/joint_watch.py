@@ -31,7 +31,7 @@ class MoveWatch:
     ) -> None:
         self._goals, self._part = goals, part
         self._positions, self._progress = positions, progress
-        self._reported_at = 0.0
+        self._reported_at = float("-inf")
 
     def __call__(self) -> None:
         """Report, if a report is due."""
@@ -59,7 +59,7 @@ class TrajectoryWatch:
         }
         self._line, self._tolerance = line, tolerance
         self._positions, self._progress = positions, progress
-        self._reported_at = 0.0
+        self._reported_at = float("-inf")
 
     def __call__(self) -> None:
         """Compare the commanded with the measured position.

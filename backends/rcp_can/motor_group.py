@@ -137,7 +137,7 @@ def _sleeper(period: float) -> Callable[[], Awaitable[None]]:
 
 async def _run(axes: list[Axis], beat: Callable[[], Awaitable[None]]) -> None:
     last = time.monotonic()
-    shown = 0.0
+    shown = float("-inf")
     while True:
         await beat()
         now = time.monotonic()

@@ -18,7 +18,7 @@ class Pace:
     def __init__(self, late: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._late, self._clock = late, clock
         self._asked: set[int] = set()
-        self._last = 0.0
+        self._last = float("-inf")
 
     def advance(self, member: int) -> float:
         """Return by how much time goes on as a member asks, s; nothing in the first cycle."""

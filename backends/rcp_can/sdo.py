@@ -78,11 +78,11 @@ class Sdo:
         """The command specifier of its response."""
         self._mismatched = False
         """Whether a response to another request arrived meanwhile."""
-        self._last = b"", 0.0
+        self._last = b"", float("-inf")
         """The previous response, and when it arrived."""
         self._owed = 0
         """Responses to requests that were given up: a busy node answers them later, one by one."""
-        self._owed_at = 0.0
+        self._owed_at = float("-inf")
         """When the last of them was given up."""
 
     @property

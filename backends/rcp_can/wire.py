@@ -63,7 +63,7 @@ class Wire:
         self._echoes: Counter[tuple[int, bytes]] | None = Counter() if echoes else None
         self._numbers = itertools.count(1)
         self._barriers: dict[Hashable, int] = {}
-        self._moving = 0.0
+        self._moving = float("-inf")
         self._sending = False
         self._wake = threading.Event()
         self._waiting = False

@@ -34,7 +34,7 @@ class FrameLists:
     ) -> None:
         self._gateway, self._ask, self._turns = gateway, ask, turns
         self._known: dict[str, tuple[str, ...]] = {}
-        self._at = 0.0
+        self._at = float("-inf")
         self._asking: asyncio.Task[None] | None = None
 
     def note(self, found: Iterable[ResourceInfo]) -> None:

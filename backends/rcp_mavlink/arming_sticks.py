@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from rcp_mavlink.frames import Frame
@@ -37,7 +38,7 @@ class ArmingSticks:
 
         :raises AdapterUnavailable: the vehicle was lost meanwhile.
         """
-        since = last = 0.0
+        since, last = math.inf, -math.inf
 
         def take(frame: Frame) -> None:
             nonlocal since, last

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import time
 from collections.abc import Awaitable, Callable, Generator
 from contextlib import contextmanager, suppress
@@ -123,7 +124,7 @@ class Motion:
         :raises DeviceTimeout: no position for longer than the limit.
         """
         began = time.monotonic()
-        reported, done = 0.0, False
+        reported, done = -math.inf, False
 
         def poll() -> bool:
             nonlocal reported, done

@@ -49,7 +49,7 @@ class Parameters:
         self._hub, self._vehicle, self._on_value = hub, vehicle, on_value
         self.known: dict[str, Parameter] = {}
         self.count: int | None = None
-        self._last = 0.0
+        self._last = float("-inf")
         self._listed: set[int] = set()
         """Places that were received of the list."""
         self._doubtful: set[str] = set()

@@ -106,17 +106,17 @@ class Setpoints:
     async def _present(self) -> float:
         vehicle, since = self._vehicle, time.monotonic() - _FRESH
         try:
-            if vehicle.received_at.get("ATTITUDE", 0.0) < since:
+            if vehicle.received_at.get("ATTITUDE", -math.inf) < since:
                 await self._ask("ATTITUDE")
             if await vehicle.until(
-                lambda: vehicle.received_at.get("ATTITUDE", 0.0) >= since, _ANSWER
+                lambda: vehicle.received_at.get("ATTITUDE", -math.inf) >= since, _ANSWER
             ):
                 yaw = vehicle.latest["ATTITUDE"].fields()["yaw"]
                 if math.isfinite(yaw):
                     return yaw
         except RcpError:  # the vehicle does not have the message, or does not respond
             vehicle.check()
-        if vehicle.received_at.get("GLOBAL_POSITION_INT", 0.0) >= since - _ANSWER:
+        if vehicle.received_at.get("GLOBAL_POSITION_INT", -math.inf) >= since - _ANSWER:
             heading = vehicle.latest["GLOBAL_POSITION_INT"].fields()["hdg"]
             if heading != _NO_HEADING:
                 return math.radians(heading / 100)

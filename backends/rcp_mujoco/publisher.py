@@ -34,7 +34,7 @@ class Publisher:
         self._wanted: dict[str, list[float | None]] = {}
         self._next: dict[str, float] = {}
         self._shown: Any = None
-        self._state_at = 0.0
+        self._state_at = float("-inf")
 
     @property
     def stamp(self) -> int:

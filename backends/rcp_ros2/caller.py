@@ -149,7 +149,7 @@ class _Watch:
         self._waiting: dict[Ticket, tuple[Once, float, float]] = {}
         """For each answer who may send its request, its limit, and when that is over by the loop's clock."""
         self._alarm: asyncio.TimerHandle | None = None
-        self._rings = 0.0
+        self._rings = float("-inf")
 
     def add(self, ticket: Ticket, limit: float, once: Once) -> None:
         """Look after an answer."""

@@ -121,7 +121,7 @@ class Catalog:
         self._queries = asyncio.Semaphore(_AT_ONCE)
         self.complete = asyncio.Event()
         """Set once every mapping has its binding, and discovery counts as complete."""
-        self._placed = 0.0
+        self._placed = float("-inf")
 
     # -- required paths --------------------------------------------------------------------------
 

@@ -37,11 +37,11 @@ class Pulse:
         self._ros = ros
         self._client: Any = ros.node.create_client(GetParameters, f"{node}/get_parameters")
         self._pending: Any = None
-        self._requested_at = 0.0
+        self._requested_at = float("-inf")
         self.answers = 0
         """Number of responses from the node."""
-        self.last_response = 0.0
-        """Monotonic time of the last response, s."""
+        self.last_response = float("-inf")
+        """Monotonic time of the last response, s; -inf before the first."""
 
     def ping(self) -> None:
         """Send a request; an older one is abandoned, unless a response may still arrive."""

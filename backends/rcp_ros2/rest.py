@@ -73,7 +73,7 @@ class Rest:
         self._due = 0.0
         self._burst = 0
         """Remaining transmissions in quick succession."""
-        self._answered = 0.0
+        self._answered = float("-inf")
         self._foreign: deque[float] = deque(maxlen=_KNOWN)
         """Times of foreign commands, monotonic."""
         self.acked = False

@@ -51,8 +51,8 @@ class ActionServer:
         self.robot = robot
         self.goals: dict[bytes, int] = {}
         """The unfinished goals with their status."""
-        self.answered_at = 0.0
-        """Monotonic time of the last response to a cancel."""
+        self.answered_at = -math.inf
+        """Monotonic time of the last response to a cancel; -inf before the first."""
         self.refused = False
         """Whether it recently refused to cancel a goal."""
         self._link = link
@@ -61,7 +61,7 @@ class ActionServer:
         self._srv = CancelGoal
         self._client: Any = link.ros.node.create_client(CancelGoal, f"{name}/_action/cancel_goal")
         self._pending: dict[bytes, Any] = {}
-        self._requested_at = 0.0
+        self._requested_at = -math.inf
         self._abandoned: dict[bytes, float] = {}
         """Abandoned goals of the gateway, which must not continue, and until when they are remembered."""
         self._servers: dict[bytes, float] = {}

@@ -44,7 +44,7 @@ class Tap:
     """Called with each value instead of the outbox."""
     period: float = 0.0
     """Minimum time in s between two values; 0 takes all."""
-    due: float = 0.0
+    due: float = float("-inf")
     held: bytes | None = None
     """The newest value that arrived too early; published when it is due."""
 
@@ -62,8 +62,8 @@ class TopicSubscription:
     losses: Losses | None = None
     last: bytes | None = None
     """The newest message."""
-    arrived: float = 0.0
-    """When it arrived, monotonic time."""
+    arrived: float = float("-inf")
+    """When it arrived, monotonic time; -inf before the first."""
     advised: bool = False
     """Whether the warning about large messages was reported."""
 
@@ -94,7 +94,7 @@ class TopicSubscriptions:
             subscription.cls, subscription.last, subscription.profile = cls, None, None
         known = subscription.taps.get(tap.name)
         if known is not None:
-            known.period, known.due = tap.period, 0.0
+            known.period, known.due = tap.period, float("-inf")
         else:
             subscription.taps[tap.name] = tap
             if (

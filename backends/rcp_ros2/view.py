@@ -83,7 +83,7 @@ class View(Binding):
         )
         super().__init__(shared, Resource(value=RosGraph, **common(_NAME, mapping, text)), mapping)
         self._mark: Any = None
-        self._looked = 0.0
+        self._looked = float("-inf")
         self._known: RosGraph | None = None
 
     async def read(self) -> Any:

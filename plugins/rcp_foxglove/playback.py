@@ -77,7 +77,7 @@ class Playback:
         self._next = count(1)
         self._replay: Replay | None = None
         self._state: _State | None = None
-        self._reported = 0.0
+        self._reported = float("-inf")
         """The loop's time at the last report."""
         self._subscription: str | None = None
         self._told_jumps = 0

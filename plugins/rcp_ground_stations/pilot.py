@@ -53,7 +53,7 @@ class Pilot:
         """Frames, and when they came, in seconds since the epoch."""
         self._room = asyncio.Event()
         self._lease: str | None = None
-        self._renewed = self._commanded = 0.0
+        self._renewed = self._commanded = float("-inf")
 
     def take(self, frame: Frame) -> None:
         """Pass a frame on in its turn; a set-point takes the place of an older one."""

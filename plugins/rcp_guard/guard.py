@@ -33,7 +33,7 @@ class Guard:
         self._heirs: Heirs | None = None
         self._parent = os.getppid()
         self._bye = False
-        self._alive = 0.0
+        self._alive = float("-inf")
 
     def end(self, *_: object) -> None:
         """Handle a signal: while the gateway lives, it alone decides when its guard ends."""

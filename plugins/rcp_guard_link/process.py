@@ -44,7 +44,7 @@ class GuardProcess:
         self._partial = b""
         self._waiting = b""
         self._sent_armed: frozenset[str] = frozenset()
-        self._heard = 0.0
+        self._heard: float | None = None
         self._pause = _FIRST_RETRY
         self._due = 0.0
         self.plans: dict[str, dict[str, Any]] = {}
@@ -59,7 +59,7 @@ class GuardProcess:
     @property
     def running(self) -> bool:
         """Whether there is a guard that has sent a message."""
-        return self._process is not None and self._heard > 0.0
+        return self._process is not None and self._heard is not None
 
     def replace_plans(self, plans: dict[str, dict[str, Any]]) -> None:
         """Send all plans to the guard again; the first plan starts it."""
@@ -79,7 +79,7 @@ class GuardProcess:
             self.arm(armed)
         else:
             self._write(b"" if self._waiting else b"\n")
-        if self._heard and now - self._heard > _SILENT:
+        if self._heard is not None and now - self._heard > _SILENT:
             self._hear()  # the loop may have stood still itself
             if now - self._heard > _SILENT:
                 self._drop(f"no heartbeat for {_SILENT:g} s")
@@ -137,7 +137,7 @@ class GuardProcess:
                 log.error("guard_not_started", reason=str(error), again_in=self._pause)
                 return
         parent.setblocking(False)
-        self._socket, self._heard = parent, 0.0
+        self._socket, self._heard = parent, None
         self._partial = self._waiting = b""
         self._sent_armed = frozenset()
         self._loop.add_reader(parent, self._hear)
@@ -189,7 +189,7 @@ class GuardProcess:
         if not data:
             self._drop("it exited")
             return
-        if not self._heard:
+        if self._heard is None:
             self._pause = _FIRST_RETRY
         self._heard = time.monotonic()
         *lines, self._partial = (self._partial + data).split(b"\n")

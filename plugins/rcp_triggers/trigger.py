@@ -45,7 +45,7 @@ class _Budget:
         self._rate = per_minute / _MINUTE
         self._most = max(1.0, per_minute)
         self._left = self._most
-        self._at = 0.0
+        self._at = float("-inf")
 
     def take(self, now: float) -> bool:
         """Take one; return whether there was one left."""

@@ -54,7 +54,7 @@ class RobotWatch:
         """When it was evaluated last."""
         self.known: bool | None = None
         """Whether the condition holds."""
-        self._second = 0.0
+        self._second = float("-inf")
         self._events = 0
 
     # -- life ----------------------------------------------------------------------------------

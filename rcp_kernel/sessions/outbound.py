@@ -47,7 +47,7 @@ class Backlog:
         self.size = 0
         self.counted = 0
         """The part that counts in the total."""
-        self.since = 0.0
+        self.since = float("inf")
         """Loop time since which it exceeds its share."""
 
     def set(self, size: int) -> None:

@@ -227,7 +227,7 @@ class Entry:
         self.clock = clock
         self._now = clock.now
         self._monotonic = clock.monotonic
-        self._heard = 0.0
+        self._heard = float("-inf")
 
     @property
     def age(self) -> float | None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
+from structlog.testing import capture_logs
 
 from configuration import backend, key
 from kernel.world import CONFIG, World, world_of
+from rcp_gateway.backend_status import BackendStatus
+from rcp_kernel.config.file import BackendConfig
 from steps import finished
 
 pytestmark = pytest.mark.anyio
@@ -94,3 +99,14 @@ async def test_a_watched_status_shows_only_the_tenants_one_acts_in() -> None:
         assert [backend["name"] for backend in report["backends"]] == ["robot"]
         commands = client.send(type="subscribe", path="/system/commands")
         assert (await client.update(commands))["body"] == []
+
+
+def test_the_first_fault_is_logged_on_a_machine_that_has_just_booted(
+    boot: Callable[[], None],
+) -> None:
+    status = BackendStatus(BackendConfig(use="sim", name="robot", tenant="alpha"))
+    boot()
+    with capture_logs() as logs:
+        for _ in range(3):
+            status.fault("not a number")
+    assert [(one["event"], one["faults"]) for one in logs] == [("backend_fault", 1)]

@@ -3,7 +3,7 @@ from __future__ import annotations
 import asyncio
 import json
 import ssl
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -160,6 +160,18 @@ async def test_plain_http_on_the_tls_port_is_closed(ca: Authority) -> None:
         raw.send(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
         async with asyncio.timeout(BOUND):
             assert b"HTTP" not in await raw.reader.read(-1)
+
+
+@pytest.mark.parametrize("anyio_backend", ["asyncio"])  # uvloop has a clock of its own
+async def test_the_first_failed_handshake_is_logged_on_a_machine_that_has_just_booted(
+    ca: Authority, boot: Callable[[], None]
+) -> None:
+    async with secured(ca) as gateway, connected(gateway) as raw:
+        configure("info", "json")
+        boot()
+        with capture_logs() as logs:
+            raw.send(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            await until(lambda: any(one["event"] == "handshake_failed" for one in logs))
 
 
 async def test_a_handshake_that_stalls_is_cut(ca: Authority) -> None:

@@ -65,7 +65,7 @@ class Acceptor:
         self._loop = settings.client_api.loop
         self._opening: set[asyncio.Task[None]] = set()
         self._resume: asyncio.TimerHandle | None = None
-        self._told = 0.0
+        self._told = float("-inf")
 
     def open(self) -> None:
         """Start to accept connections."""

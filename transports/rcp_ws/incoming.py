@@ -31,7 +31,7 @@ class _Transfer:
         self.parts: dict[int, bytes] = {}
         self.have = 0
         self.asked = False
-        self.last = 0.0
+        self.last = float("-inf")
         self.timer: asyncio.TimerHandle | None = None
 
     @property

@@ -46,13 +46,13 @@ class _Inbox:
         self._handler, self._handle = handler, handle
         self._loop = asyncio.get_running_loop()
         self._empty = threading.Semaphore(0)
-        self._count, self._since = 0, 0.0
+        self._count, self._since = 0, float("-inf")
         """Samples handled since the channel was last found empty, and when that was."""
         self.thread = threading.Thread(target=self._wait, name="zenoh inbox", daemon=True)
         self.thread.start()
 
     def _wait(self) -> None:
-        last = 0.0
+        last = float("-inf")
         try:
             while True:
                 first = self._handler.recv()

@@ -53,7 +53,7 @@ class PathTimes:
     __slots__ = ("_echo", "_echo_at", "_probes")
 
     def __init__(self) -> None:
-        self._echo = self._echo_at = 0.0
+        self._echo, self._echo_at = 0.0, float("-inf")
         self._probes: deque[_Probe] = deque(maxlen=_SAMPLES)
 
     def beat(self, taken: tuple[int, ...], *, idle: bool) -> Beat:

@@ -88,7 +88,7 @@ class Cia402Drive(Drive):
         self._configured = self._watched = False
         self._sync = options.sync
         self._probes = 0
-        self._stop_began = self._stop_last = 0.0
+        self._stop_began = self._stop_last = float("-inf")
         self._reported: Counter[str] = Counter()
         self._emergencies: dict[int, Fault] = {}
         self._pdos = eds_map(options.eds, node) if options.eds else own_map(node)
@@ -510,7 +510,9 @@ class Cia402Drive(Drive):
         self._rate = self._torque = 0
         self._moving = False
         self._push(COMMANDS["quick_stop"], urgent=True)
-        unheard = not self._configured or now - self.status.at.get("enabled", 0.0) > _PATIENCE
+        unheard = (
+            not self._configured or now - self.status.at.get("enabled", float("-inf")) > _PATIENCE
+        )
         if unheard or (self.state == "enabled" and now - self._stop_began > _PATIENCE):
             self._push_by_sdo(COMMANDS["quick_stop"])
 

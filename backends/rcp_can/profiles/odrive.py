@@ -75,7 +75,7 @@ class OdriveDrive(Drive):
         self._endpoints = Endpoints.load(options.endpoints) if options.endpoints else None
         self._moving = False
         self._ours = False
-        self._fed = 0.0
+        self._fed = float("-inf")
         self._input: tuple[str, dict[str, float]] = ("velocity", {})
         self.protection = Protection(
             "the axis watchdog is configured by odrivetool only (axis.config.enable_watchdog, "

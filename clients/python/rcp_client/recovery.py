@@ -70,7 +70,7 @@ class Recovery:
         self._repeats: set[asyncio.Task[None]] = set()
         self._met: int | None = None
         """When the gateway was last known to be the same, ns by its own clock."""
-        self._met_at = 0.0
+        self._met_at = float("-inf")
         """The same by `time.monotonic` here: the gateway's clock may be set back before it starts anew."""
         self._offset = 0
         """Offset of the gateway's clock from ours, ns."""

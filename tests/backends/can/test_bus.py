@@ -8,6 +8,7 @@ import math
 import struct
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -450,3 +451,11 @@ async def test_the_backend_of_a_rig_refuses_what_it_does_not_have() -> None:
         assert isinstance(rig, Rig)
         with pytest.raises(Exception, match="no 'sensor/nothing'"):
             await rig.backend.read("sensor/nothing")
+
+
+async def test_a_periodic_frame_is_due_at_once_on_a_machine_that_has_just_booted(
+    boot: Callable[[], None],
+) -> None:
+    async with opened(table(channel())) as rig:
+        boot()
+        assert [rig.backend.buses["can0"].paced("sync", 10.0) for _ in range(2)] == [True, False]

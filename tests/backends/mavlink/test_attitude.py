@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -107,6 +108,20 @@ async def test_without_any_heading_it_is_refused_and_nothing_is_sent() -> None:
         assert received == []
         reply = await found.write("actuator/attitude", {"pitch": -0.1, "yaw": 1.0})
         assert received
+
+
+async def test_a_position_never_received_gives_no_heading_on_a_machine_that_has_just_booted(
+    boot: Callable[[], None],
+) -> None:
+    puppet = Px4()
+    async with station(puppet) as found:
+        await airborne_px4(found, puppet)
+        vehicle = found.robot.vehicle
+        puppet.quiet = True
+        boot()
+        del vehicle.received_at["GLOBAL_POSITION_INT"], vehicle.latest["GLOBAL_POSITION_INT"]
+        reply = await found.write("actuator/attitude", {"pitch": -0.1})
+        assert reply["error"]["code"] == "precondition_failed", reply
 
 
 async def _is(truth: bool) -> bool:  # noqa: FBT001 - for `eventually`, which awaits

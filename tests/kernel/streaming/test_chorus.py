@@ -333,6 +333,16 @@ async def test_updates_within_the_interval_of_writes_share_one(world: World) -> 
         assert await writes.get() == b"0001200013"
 
 
+async def test_the_first_update_does_not_wait_on_a_machine_that_has_just_booted(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_streams.shared_fanout.perf_counter", lambda: 0.5)
+    writes = await written(world, 16, 3600)
+    publish(world, 1.0, name="sensor/steady")
+    async with asyncio.timeout(60):
+        assert await writes.get() == b"00011"
+
+
 async def test_half_a_queue_does_not_wait_for_the_interval(world: World) -> None:
     writes = await written(world, 4, 3600)
     async with asyncio.timeout(60):

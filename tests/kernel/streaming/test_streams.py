@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Callable
 from typing import Any
 
 import msgspec
@@ -160,6 +161,21 @@ async def test_a_rate_lets_the_newest_through_at_its_time(world: World) -> None:
     second = await client.update(id_)
     assert (first["body"], second["body"]) == (1.0, 3.0)
     assert len([m for m in client.inbox if m["type"] == "update"]) == 0
+
+
+async def test_the_first_period_of_a_rate_is_whole_on_a_machine_that_has_just_booted(
+    world: World, stepped: SteppedClock, boot: Callable[[], None]
+) -> None:
+    boot()
+    client = world.client()
+    id_ = await subscribed(client, rate=0.01)
+    stepped.advance(50)
+    publish(world, 1.0)
+    assert (await client.update(id_))["body"] == 1.0
+    for value, seconds in ((2.0, 60), (3.0, 60)):
+        stepped.advance(seconds)
+        publish(world, value)
+    assert (await client.update(id_))["body"] == 3.0
 
 
 async def test_a_count_ends_the_subscription_by_itself(world: World) -> None:
