@@ -4,7 +4,7 @@ python benchmarks/beside_rosbridge.py [NAME…] runs only the cases so named: by
 by rosbridge at the gateway (`rosbridge`). The servers run on one core, publisher
 and clients on the other; figures are per CPU-second of the server. rosbridge_suite is not on PyPI: where a
 ROS 2 with it is sourced, RUN_ROSBRIDGE="ros2 launch rosbridge_server rosbridge_websocket_launch.xml port:={port}" has it
-measured too (`suite`).
+measured too (`suite`). BESIDE=TREE has the gateway of another working tree with a `.venv` of its own measured too (`beside`).
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from rcp_ros2 import PROFILE
 HERE = Path(__file__).parent / "ros2"
 SECONDS = 4.0
 SUITE = os.environ.get("RUN_ROSBRIDGE", "")
+BESIDE = os.environ.get("BESIDE", "")
 ROSBRIDGE = {"json": "json", "native": "cbor-raw"}
 """The compression of rosbridge for an encoding of the gateway's own protocol."""
 ROUNDS = int(os.environ.get("ROUNDS", "3"))
@@ -156,7 +157,8 @@ def run(case: Case, server: str) -> dict[str, float]:
             typed = f', type = "{case.type}"' if case.type else ', type = "std_msgs/msg/Bool"'
             path.write(CONFIG.format(port=port, more=typed))
             path.flush()
-            served = start(SERVER, "rcpd", "serve", path.name)
+            rcpd = f"{BESIDE}/.venv/bin/rcpd" if server == "beside" else "rcpd"
+            served = start(SERVER, rcpd, "serve", path.name)
             if server == "rosbridge":
                 asked += ["rosbridge", f"ws://127.0.0.1:{port}/rosbridge", "--topic", "/value"]
                 asked += ["--encoding", ROSBRIDGE[case.encoding]]
@@ -168,7 +170,7 @@ def run(case: Case, server: str) -> dict[str, float]:
                 asked += ["--topic", "/tenant/t/sensor/value"]
         open_port(port)
         if case.service:
-            name = "/tenant/t/service/reset" if server == "gateway" else "/reset"
+            name = "/tenant/t/service/reset" if server in ("gateway", "beside") else "/reset"
             asked += ["--service", name]
             time.sleep(3.0)  # for discovery
         asked += ["--clients", str(case.clients), "--seconds", str(SECONDS), "--settle", "3"]
@@ -201,7 +203,7 @@ def show(case: Case, name: str, found: dict[str, float]) -> None:
 
 def beside(case: Case) -> None:
     print(case.name, flush=True)
-    names = ["floor", "gateway"]
+    names = ["floor", "gateway", *(["beside"] if BESIDE else [])]
     if case.encoding in ROSBRIDGE:
         names += ["rosbridge", "suite"] if SUITE else ["rosbridge"]
     found: dict[str, list[float]] = {name: [] for name in names}

@@ -10,6 +10,7 @@ from typing import Any
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
 from rcp_ros2.link import RosLink
 from rcp_ros2.ros import Once, Ticket
+from rcp_ros2.service_client import ServiceClient
 
 __all__ = ["Caller"]
 
@@ -41,7 +42,7 @@ class Caller:
         """Called with the response, in the ROS thread."""
         self._admit = admit
         """Called before a request is sent, in the ROS thread; raises to refuse it."""
-        self._client: Any = None
+        self._client: ServiceClient | None = None
         self._watch = _Watch(self._fault)
 
     async def call(
@@ -66,14 +67,14 @@ class Caller:
     async def _request(self, request: Any, limit: float, admit: Callable[[], None] | None) -> Any:
         """Find the server and send the request in one visit to the ROS thread (0.1 ms)."""
         ticket, once = Ticket(self._link.host), Once()
-        sent: list[Any] = []
+        sent: list[Callable[[], None]] = []
         self._link.ros.submit(self._send, request, ticket, once, sent, admit or self._admit)
         self._watch.add(ticket, limit, once)
         try:
             return await ticket.answer()
         except BaseException:  # nobody waits for what may still come
             once.take()  # and what the thread has not come to is not sent any more
-            self._link.ros.post(self._forget, sent)
+            self._link.ros.post(_forget, sent)
             raise
         finally:
             self._watch.remove(ticket)
@@ -92,32 +93,27 @@ class Caller:
         request: Any,
         ticket: Ticket,
         once: Once,
-        sent: list[Any],
+        sent: list[Callable[[], None]],
         admit: Callable[[], None] | None,
     ) -> None:
         if not once.take():
             return
         try:
-            self.prepare()
+            client = self.prepare()
             if admit is not None:
                 admit()
-            if not self._client.service_is_ready():
+            if client.is_ready():
+                sent.append(client.send(request, ticket, self._convert))
+            else:
                 ticket.give(_UNMATCHED)
-                return
-            future = self._client.call_async(request)
-            sent.append(future)
-            ticket.follow(future, self._convert)
         except Exception as error:
             ticket.fail(error)
 
-    def prepare(self) -> None:
+    def prepare(self) -> ServiceClient:
         """Create the client early, so that it discovers the server; called in the ROS thread."""
         if self._client is None:
-            self._client = self._link.ros.node.create_client(self._srv, self._name)
-
-    def _forget(self, sent: list[Any]) -> None:
-        if self._client is not None and sent:
-            self._client.remove_pending_request(sent[0])
+            self._client = ServiceClient(self._link.ros.node, self._srv, self._name)
+        return self._client
 
     def close(self) -> None:
         """Destroy the client."""
@@ -125,8 +121,14 @@ class Caller:
 
     def _drop(self) -> None:
         if self._client is not None:
-            self._link.ros.node.destroy_client(self._client)
+            self._client.destroy()
             self._client = None
+
+
+def _forget(sent: list[Callable[[], None]]) -> None:
+    """Give up a request that was sent; called in the ROS thread."""
+    for give_up in sent:
+        give_up()
 
 
 def _unanswered(error: AdapterUnavailable) -> AdapterUnavailable:

@@ -48,6 +48,34 @@ async def test_calls_at_once_each_get_their_own_answer(robot: Robot) -> None:
     assert [answer.string_value[::-1] for answer in answers] == [f"call {n}" for n in numbers]
 
 
+async def test_an_answer_passes_the_executor_without_a_task(
+    robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.task import Future, Task
+
+    responses: list[str] = []
+    run = Task.__call__
+
+    def noted(task: Any) -> None:
+        futures = [one for one in task._args if isinstance(one, Future)]  # noqa: SLF001
+        responses.extend(type(future.result()).__name__ for future in futures)
+        run(task)
+
+    monkeypatch.setattr(Task, "__call__", noted)
+    assert (await robot.execute("service/reset")).success
+    assert (await robot.execute("service/reset")).success
+    assert "Trigger_Response" not in responses
+
+
+async def test_a_request_that_was_given_up_is_forgotten(robot: Robot) -> None:
+    caller: Any = robot.backend.catalog.bindings["service/slow"]
+    with pytest.raises(DeviceTimeout):
+        await robot.execute("service/slow")
+    await robot.backend.catalog.shared.ros.call(lambda: None)  # behind what forgets it
+    assert caller._caller._client.waiting == 0  # noqa: SLF001
+    assert (await robot.execute("service/reset")).success
+
+
 async def test_what_waits_for_the_ros_thread_runs_in_order_each_in_its_own_context(
     robot: Robot,
 ) -> None:

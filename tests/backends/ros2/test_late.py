@@ -117,22 +117,22 @@ async def test_a_stop_is_not_overtaken_by_the_release_before_it(based: _Based) -
         shared = robot.backend.catalog.shared
         call = StopCall(shared, shared.config.stop.service, None)
         await call.engage()
-        client = call._caller._client  # noqa: SLF001 - which looks for the service
+        client: Any = call._caller._client  # noqa: SLF001 - which looks for the service
         looks = 0
-        ready = client.service_is_ready
+        ready = client.is_ready
 
         def found() -> bool:
             nonlocal looks
             looks += 1
             return looks >= 4 and ready()
 
-        client.service_is_ready = found
+        client.is_ready = found
         call.release()
         await asyncio.sleep(0.01)
         await call.engage()
         await asyncio.sleep(0.1)  # in which the release would come
         assert based.base.tell("truth")["brakes"] == ["service"]
-        client.service_is_ready = ready
+        client.is_ready = ready
         call.release()
         async with asyncio.timeout(BOUND):
             while based.base.tell("truth")["brakes"]:  # noqa: ASYNC110
@@ -231,7 +231,7 @@ async def test_a_call_whose_node_vanishes_is_not_called_a_refusal(pair: _Pair) -
         caller: Any = robot.backend.catalog.bindings["service/slow"]
         calling = asyncio.ensure_future(robot.execute("service/slow"))
         async with asyncio.timeout(BOUND):
-            while not caller._caller._client or not caller._caller._client._pending_requests:  # noqa: ASYNC110, SLF001 - until it is sent
+            while not caller._caller._client or not caller._caller._client.waiting:  # noqa: ASYNC110, SLF001 - until it is sent
                 await asyncio.sleep(0.02)
         await asyncio.to_thread(pair.each, Peer.withdraw)
         with pytest.raises(AdapterUnavailable, match="has disappeared") as caught:
