@@ -218,7 +218,7 @@ async def test_before_it_is_connected_the_overview_claims_nothing(
     browser: Browser, running: Demo
 ) -> None:
     async with watched(browser, running.url) as tab:
-        await tab.page.route_web_socket("**/ws*", lambda socket: None)  # which is never answered
+        await tab.page.route_web_socket("**/ws*", lambda _: None)  # which is never answered
         await tab.open("")
         await expect(tab.page.get_by_role("region", name="Warnings")).to_contain_text("Loading")
         await expect(tab.page.get_by_text("None since")).to_have_count(0)
