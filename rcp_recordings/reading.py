@@ -252,7 +252,7 @@ def records(
             for record in recording.read(chunk, tracks, start, end):
                 count += 1
                 heapq.heappush(waiting, (record.log_time, count, record))
-        except Exception as error:  # noqa: BLE001  # decompressors and parsers raise what they like
+        except Exception as error:  # decompressors and parsers raise what they like
             first = Gap(max(chunk.start, start), chunk.end, error) if gap is None else gap
             gap = first._replace(end=max(first.end, chunk.end))
     if gap is not None:

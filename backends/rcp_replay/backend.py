@@ -34,9 +34,7 @@ _NS = 1_000_000_000
 class ReplayBackend(BaseBackend):
     """Plays a recording."""
 
-    def __init__(
-        self, host: Host, player: Player, files: list[Path], problems: Problems
-    ) -> None:
+    def __init__(self, host: Host, player: Player, files: list[Path], problems: Problems) -> None:
         self._host = host
         self._problems = problems
         self._files = tuple(file.name for file in files)
