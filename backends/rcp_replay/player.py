@@ -161,7 +161,7 @@ class Player:
 
     def _finish(self) -> float | None:
         """Begin again, or end; return the seconds until it goes on."""
-        nothing = self._from == self.start and self.published == self._before
+        nothing = self._from == self.start and self.published == self._already
         if not self.loop or self.end <= self.start or nothing:
             self._hold()
             self._position = self.end
@@ -186,7 +186,7 @@ class Player:
     def _rewind(self, moment: int) -> None:
         self.jumps += 1
         self._position = self._from = moment
-        self._before = self.published
+        self._already = self.published
         self.ended = False
         self._ready.clear()
         self._records = messages(self._recordings, self._wanted, moment)
