@@ -82,7 +82,7 @@ class Axis(AxisState):
         self.ended: Callable[[RcpError], None] | None = None
         """Called when the set-point of the action is discarded."""
         self._releasing: asyncio.Task[None] | None = None
-        self._lost_once = False
+        self._lost_once = self._outdated = False
         self._ticked, self._velocities = time.monotonic(), 0
         self._fell = False
         """Whether the drive was seen off while it was to be on, even if it is on again by now."""
@@ -167,6 +167,7 @@ class Axis(AxisState):
         self._configure()
 
     def _configure(self) -> None:
+        self._outdated = True
         if self.configuring is None or self.configuring.done():
             self.configured = False
             with unfenced():
@@ -174,6 +175,7 @@ class Axis(AxisState):
 
     async def _prepare(self) -> None:
         while self.online:
+            self._outdated = False
             try:
                 await self.drive.configure()
             except RcpError as error:
@@ -182,6 +184,8 @@ class Axis(AxisState):
                 self._health.report(self.name, f"motor '{self.name}': {text}")
                 await asyncio.sleep(_RETRY)
             else:
+                if self._outdated:  # it rebooted meanwhile, and has forgotten the first settings
+                    continue
                 if self.faults.get("configuration") is not None:
                     self.faults.clear("configuration")
                     self._health.report(self.name, None)
