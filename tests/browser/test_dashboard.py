@@ -212,3 +212,13 @@ async def test_a_page_whose_gateway_is_killed_comes_back_with_it(
                     "xpath=following-sibling::*"
                 )
                 await expect(up).to_have_text(re.compile(r"^\d+ ?s$|^\d+:\d\d$"))
+
+
+async def test_before_it_is_connected_the_overview_claims_nothing(
+    browser: Browser, running: Demo
+) -> None:
+    async with watched(browser, running.url) as tab:
+        await tab.page.route_web_socket("**/ws*", lambda _: None)  # which is never answered
+        await tab.open("")
+        await expect(tab.page.get_by_role("region", name="Warnings")).to_contain_text("Loading")
+        await expect(tab.page.get_by_text("None since")).to_have_count(0)
