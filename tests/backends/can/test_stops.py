@@ -21,7 +21,7 @@ from backends.can.rig import MOTORS, Motor, Node, channel, motor, opened
 from backends.can.test_joints import arm
 from rcp_can.axis_state import Loss
 from rcp_can.config_motor import MotorConfig
-from rcp_can.sim import Bench, make_twin
+from rcp_can.sim import Bench, Plant, make_twin
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -245,6 +245,11 @@ async def test_another_master_that_enables_a_stopped_drive_moves_it_for_a_moment
         assert rig.twin.state != "enabled"
 
 
+def pushed(plant: Plant) -> None:
+    """Turn for good, as another master orders."""
+    plant.loop, plant.goal = "velocity", 3.0
+
+
 @pytest.mark.parametrize("profile", ["odrive", "mit", "moteus"])
 async def test_a_drive_that_another_master_pushes_is_stopped_again(profile: str) -> None:
     async with motor(profile) as rig:
@@ -253,7 +258,8 @@ async def test_a_drive_that_another_master_pushes_is_stopped_again(profile: str)
         rig.host.latched = True
         await rig.until(lambda: not rig.axis.stopping)
         for _ in range(3):
-            await rig.ordered(lambda: setattr(rig.twin.plant, "velocity", 3.0))
+            await rig.ordered(lambda: pushed(rig.twin.plant))
+            await rig.until(lambda: rig.twin.plant.velocity > 1.0)
             rig.backend.hold_stop(None)
             await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await stays_at_rest(rig)
