@@ -41,7 +41,8 @@ class StopSuite(InterleavingTests):
     """
 
     stop_within: ClassVar[float] = 3.0
-    """Seconds from the request until the device is at rest, with the link whole."""
+    """Seconds until the device is at rest and that is confirmed, with the link whole; a busy machine
+    is given up to twice as many, by what its other work takes."""
     stays: ClassVar[float] = _STAYS
     """Seconds for which all clients try to move it after the stop."""
     distant: ClassVar[bool] = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from backends.ros2.rig import MAP, SLIP, Rig, confirmed, estop, gateway, released, until, write
 from backends.ros2.robot import BOUND, ignore
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout, EstopActive
+from timing import measured_load
 
 pytestmark = pytest.mark.anyio
 MEANS: dict[str, dict[str, Any]] = {
@@ -105,8 +107,12 @@ async def test_motion_without_its_feedback_is_refused_and_what_runs_is_stopped(r
         await until(odometry.is_fresh)
         await write(robot, 0.5)
         await rig.drives()
-        rig.base.tell("put", name="frozen", value=True)
-        await rig.until(lambda t: t["wheel"] == 0.0)
+        with measured_load() as load:
+            began = time.monotonic()
+            rig.base.tell("put", name="frozen", value=True)
+            await rig.until(lambda t: t["wheel"] == 0.0)
+            took = time.monotonic() - began
+        assert took < load.allows(10.0, 5.0)
 
 
 async def test_a_goal_that_was_given_up_does_not_go_on_when_its_server_is_back(rig: Rig) -> None:
