@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.experimental.events_executor import EventsExecutor
 from std_srvs.srv import Trigger
 
 _BOUND = 60.0  # s
@@ -26,12 +28,13 @@ class Pending:
         self.response = response
 
 
-def test_an_executor_gives_a_response_to_what_the_client_says_is_pending() -> None:
+@pytest.mark.parametrize("made", [EventsExecutor, SingleThreadedExecutor])
+def test_an_executor_gives_a_response_to_what_the_client_says_is_pending(made: Any) -> None:
     """For rcp_ros2/service_client.py."""
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node("private_apis", context=context)
-    executor = SingleThreadedExecutor(context=context)
+    executor = made(context=context)
     try:
         executor.add_node(node)
         node.create_service(Trigger, "private_apis", _answer)
