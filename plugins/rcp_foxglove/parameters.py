@@ -102,7 +102,7 @@ class Parameters:
             facts["id"] = id_
         room = self._requests.reply(msgspec.json.encode(facts))
         if not room:
-            self._statuses.tell(f"Values of parameters are left out: {UNREAD}.")
+            self._statuses.tell(f"Values of parameters were dropped because {UNREAD}.")
         return room
 
     async def _set(self, wishes: list[Parameter], id_: str | None, view: View) -> None:
