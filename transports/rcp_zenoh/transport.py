@@ -19,7 +19,7 @@ from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.declared_keys import DeclaredKeys
 from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
 from rcp_zenoh.pipe import refuse
-from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.session import Intake, configuration, on_loop, opened
 from rcp_zenoh.statistics import Statistics
 
 __all__ = ["joined"]
@@ -60,7 +60,9 @@ class _Links:
             known = self._links.get((hub, link))
             if known is not None:
                 known.close("the hub is gone")
-        elif (hub, link) not in self._links and not self._client_api.closing:
+        elif self._spent.is_set() or self._client_api.closing:
+            return  # the next session is told of all tokens that are still there
+        elif (hub, link) not in self._links:
             self._open(hub, link)
 
     def _open(self, hub: str, link: str) -> None:
@@ -171,7 +173,7 @@ async def _serve_session(
         tokens = session.liveliness().declare_subscriber(
             keys.token, on_loop(loop, links.token), history=True
         )
-        messages = session.declare_subscriber(keys.up, on_loop(loop, links.message))
+        messages = session.declare_subscriber(keys.up, Intake(loop, links.message).callback())
         take = client_api.service(_REVOCATIONS)
         revocations = session.declare_subscriber(
             revoked(config.tenant),
