@@ -69,7 +69,7 @@ class Calls:
             if op.id_ is not None:
                 response["id"] = op.id_
             if not self._context.send({**response, "values": values}, packing):
-                text = "the response is left out: too much that was sent before is unread"
+                text = "the response was dropped because too much that was sent before is unread"
                 self._context.send({**response, "result": False, "values": text})
 
         return respond
@@ -187,7 +187,7 @@ class Calls:
             int(op.fragment_size) if op.fragment_size else None, op.compression == "png"
         )
         if not self._context.send(result, packing):
-            text = "the result is left out: too much that was sent before is unread"
+            text = "the result was dropped because too much that was sent before is unread"
             self._context.send({**result, "values": text, "result": False})
 
     def cancel_goal(self, op: CancelActionGoal) -> None:
