@@ -79,8 +79,7 @@ class Diagnosis:
     def warnings(self) -> list[Finding]:
         """What may be meant, although it is suspicious, or does less for lack of a library."""
         survey = self._survey
-        doubts = suspicions(survey.config, survey.raw, survey.secret_files)
-        found = [survey.finding(place, text) for place, text in doubts]
+        found = [survey.finding(place, text) for place, text in suspicions(survey)]
         found += [*self._unheard(), *self._lesser]
         return sorted(found, key=lambda one: (one.file or "", one.line))
 
@@ -202,7 +201,7 @@ class Diagnosis:
             if left is not FAULTY and kind.check is not None and not self._survey.faulty(place):
                 with self._survey.checking(place, backend.options):
                     kind.check(msgspec.convert(left, kind.config, strict=True))
-            if left is not FAULTY and kind.exclusive is not None:
+            if left is not FAULTY and kind.exclusive is not None and not self._survey.faulty(place):
                 for one in kind.exclusive(msgspec.convert(left, kind.config, strict=True)):
                     other = held.setdefault(one, backend.name)
                     if other is not backend.name:

@@ -90,7 +90,7 @@ class Retention:
         Times need not rise: a robot without a battery starts in 1970, among records of today.
         """
         days = self.config.keep_days
-        if days is None:
+        if days is None or math.isinf(days):
             return 0
         gone, limit = 0, now - int(days * _DAY * (1 + _SLACK))
         rows = base.execute(

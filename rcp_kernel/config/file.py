@@ -34,6 +34,7 @@ from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
 from rcp_toml.encoding import NotUtf8, decoded
 from rcp_toml.includes import included, merge
+from rcp_toml.numbers import unusable
 from rcp_toml.variables import Secret, Withheld, is_dear, substituted
 
 __all__ = [
@@ -288,6 +289,8 @@ def _with_secrets(node: Any, source: str, where: str, literal: Callable[[str], s
             _with_secrets(item, source, f"{where}[{i}]", literal) for i, item in enumerate(node)
         ]
     if not isinstance(node, str):
+        if (why := unusable(node)) is not None:
+            raise ConfigError(f"{source}: {where} {why}")
         return node
 
     try:
