@@ -15,7 +15,6 @@ GOOD = (
     "[limits]\naction_timeout = 1e19\n",
     "[audit]\nkeep_days = inf\nkeep_mb = inf\n",
     "[transports.asgi]\ngrace = inf\n",
-    '[[envelopes]]\nname = "a"\npaths = ["/actuator/x"]\nbounds.x = { min = -inf, max = inf }\n',
     "[limits]\nmessage = 9223372036854775807\n",
 )
 BAD = (
