@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from rcp_protocol.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcp_toml.document import document
 from rcp_toml.named_file import read_named
 
 __all__ = ["NamedFile", "Secret", "Withheld", "files_of", "is_dear", "secrets_of", "substituted"]
@@ -122,5 +123,5 @@ def secrets_of(text: str, folder: Path) -> list[str]:
                 found.append(node)
 
     with suppress(tomllib.TOMLDecodeError):
-        note(tomllib.loads(text), "")
+        note(document(text), "")
     return [value for value in found if value]

@@ -32,6 +32,7 @@ from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
+from rcp_toml.document import document
 from rcp_toml.encoding import NotUtf8, decoded
 from rcp_toml.includes import included, merge
 from rcp_toml.numbers import unusable
@@ -241,7 +242,7 @@ def parse(text: str, source: str, *, show_values: bool = True) -> GatewayConfig:
 def _read(text: str, source: str, literal: Callable[[str], str]) -> dict[str, Any]:
     """Read one file, with its variables replaced."""
     try:
-        raw = tomllib.loads(text)
+        raw = document(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source}: not TOML: {error}") from None
     return _with_secrets(raw, source, "", literal)

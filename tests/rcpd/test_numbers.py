@@ -6,7 +6,7 @@ import pytest
 
 from rcp_gateway.server import prepare
 from rcp_kernel.config.file import parse
-from rcp_kernel.errors import StartupError
+from rcp_kernel.errors import ConfigError, StartupError
 from rcpd.diagnosis import Diagnosis
 
 SIM = '[[backends]]\nuse = "sim"\ntenant = "alpha"\n'
@@ -44,3 +44,65 @@ def test_a_number_that_the_start_refuses_is_a_fault(text: str) -> None:
         prepare(parse(text, "rcp.toml"), "rcp.toml")
     (one,) = Diagnosis(text, "rcp.toml").findings
     assert one.line == len(text.rstrip("\n").split("\n"))
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        ("[" * 400 + "]" * 400, "nested too deep"),
+        ("{ a = " * 400 + "1" + "}" * 400, "nested too deep"),
+        ("[" * 50_000, "nested too deep"),
+        ("9" * 5000, "Too many digits"),
+    ],
+    ids=["lists", "tables", "open", "digits"],
+)
+def test_what_no_parser_reads_is_a_fault_of_its_line(value: str, says: str) -> None:
+    text = f'name = "a"\n[[jwt]]\nissuer = "https://issuer.example"\naudience = {value}\n'
+    with pytest.raises(ConfigError, match=says):
+        parse(text, "rcp.toml")
+    (one,) = Diagnosis(text, "rcp.toml").findings
+    assert one.line == 4
+    assert says in one.message
+
+
+VALUES = (
+    *("inf", "-inf", "nan", "1e300", "99999999999999999999", "true", "[]", "{}", "[{}]", "[[1]]"),
+    *("07:32:00", "1979-05-27", '""', '"a\\u0000b"', '"\\u001b[31m"', '"~nobody-of-this-name/x"'),
+    *('"${file:a\\u0000b}"', '"${ABSENT}"', '"/tenant/zz/**"', f'"{"a" * 70_000}"'),
+)
+WHOLE = f"""\
+name = "a"
+include = ["absent/*.toml"]
+{SIM}name = "one"
+rate = 10
+[[keys]]
+name = "ann"
+key = "a-long-key-of-this-test-1"
+role = "operator"
+expires = "2027-01-01"
+[store]
+path = "rcp.db"
+[limits]
+session_ttl = 5
+[safety]
+lease_ttl = 3
+groups.cell = ["/tenant/alpha/one"]
+[transports.asgi]
+port = 8080
+[[roles.driver.allow]]
+operations = ["read"]
+paths = ["/tenant/alpha/**"]
+"""
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: value[:20])
+def test_no_value_of_any_key_ends_the_check(value: str) -> None:
+    lines = WHOLE.split("\n")
+    for index, line in enumerate(lines):
+        key, is_, _ = line.partition("= ")
+        if is_:
+            found = Diagnosis(
+                "\n".join([*lines[:index], key + is_ + value, *lines[index + 1 :]]), ""
+            )
+            assert found.warnings is not None
+            assert found.findings or found.prepared()
