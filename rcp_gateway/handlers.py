@@ -169,6 +169,8 @@ class Handlers:
         host = GatewayActionHost(
             handle=self.router.handle,
             resolver=self._resolver,
+            long_bodies=self.long_bodies,
+            settings=core.settings,
             foresee=self._features.foresee,
             frames=self._features.frames,
             commands=core.commands,

@@ -166,10 +166,12 @@ async def running(
         stack.push_async_callback(gateway.close)
         await stack.enter_async_context(gateway.features.running())
         await stack.enter_async_context(_backends(server, prepared))
+        settling = asyncio.create_task(_settled(gateway.supervisors, _FIRST_OPEN))
+        stack.callback(settling.cancel)
         await _open_all(stack, client_api, prepared.adapters, plugins.adapters, status.adapters)
         _report_missing(plugins.missing, status)
         _report_unused(status, plugins.points["plugins"])
-        await _settled(gateway.supervisors, _FIRST_OPEN)
+        await settling
         await _open_all(
             stack, client_api, prepared.transports, plugins.transports, status.transports
         )

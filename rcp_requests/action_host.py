@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Generator, Sequence
 from typing import Any, TypeVar
 
 import msgspec
 
 from rcp_kernel.access.conditions import Conditions
+from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.digest import bounded, hashing
 from rcp_kernel.features.control import CONTROL, NoControl
 from rcp_kernel.features.services import FeatureServices, ServiceKey
@@ -20,10 +21,12 @@ from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_kernel.values import Encoding, dump, to_plain
 from rcp_kernel.wire import NO_BODY, Body, Reply, Request
+from rcp_protocol.structure import check_structure
 from rcp_requests.admission import Resolver
 from rcp_requests.atomic_group import check_group
 from rcp_requests.commands import Commands
 from rcp_requests.journal import CommandJournal
+from rcp_requests.long_bodies import LongBodies
 from rcp_requests.read import READ_OPTIONS
 from rcp_requests.request_events import RequestEvents
 from rcp_scheduling.turns import Turns
@@ -43,6 +46,8 @@ class GatewayActionHost:
         *,
         handle: Handler,
         resolver: Resolver,
+        long_bodies: LongBodies,
+        settings: Settings,
         foresee: Callable[[Session, Entry, Any], None],
         frames: FrameConverter,
         commands: Commands,
@@ -58,6 +63,8 @@ class GatewayActionHost:
         """`personal` has the paths that show each reader something else."""
         self._resolver = resolver
         self._journal = journal
+        self._long_bodies = long_bodies
+        self._settings = settings
         self._foresee = foresee
         self._frames = frames
         self._services = services
@@ -111,6 +118,16 @@ class GatewayActionHost:
         body = msgspec.Raw(dump(value, Encoding.JSON))
         request = Request(type="execute", path=entry.path, body=body)
         return self._frames.goal(session, request, entry)
+
+    def prepare(self, session: Session, request: Request) -> Generator[None, None, Request]:
+        """Check and decode a long body in steps.
+
+        :raises PayloadTooLarge: it has too many values.
+        """
+        if self._long_bodies.takes(request):
+            limit = self._settings.limits.values
+            yield from check_structure(bytes(request.body), request.encoding, limit)
+        return (yield from self._long_bodies.prepare(session, request))
 
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, while it runs."""

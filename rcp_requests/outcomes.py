@@ -35,7 +35,9 @@ def outcome_of(command: Command, task: asyncio.Task[Any]) -> Any:
     if error is None:
         return task.result()
     origin = None if command.entry is None else command.entry.owner.name
-    return attribute_error(error, origin, command.path, sent=True, trace=command.trace)
+    return attribute_error(
+        error, origin, command.path, sent=True, trace=command.trace, command=command.id
+    )
 
 
 def _has_begun(command: Command) -> bool:

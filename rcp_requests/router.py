@@ -14,6 +14,7 @@ import structlog
 from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.internal_errors import to_internal_error
 from rcp_kernel.contract.metrics import RequestCounts
+from rcp_kernel.contract.requests import PreparedRequest
 from rcp_kernel.errors import Cancelled, RcpError, UnsupportedOperation
 from rcp_kernel.model import Pattern
 from rcp_kernel.sessions.session import Answer, Session
@@ -161,7 +162,8 @@ class RequestRouter:
     def _takes_long(self, session: Session, request: Request) -> bool:
         """Return whether a request may take longer than a fraction of a millisecond."""
         path = request.path
-        if len(request.body) > LONG and session.connection is None:
+        prepared = isinstance(request, PreparedRequest)
+        if len(request.body) > LONG and session.connection is None and not prepared:
             return True  # connections have already waited for the turn of a long message
         match request.type:
             case "discover" | "batch" | "subscribe" | "unsubscribe" | "status":

@@ -82,8 +82,10 @@ class Axis(AxisState):
         self.ended: Callable[[RcpError], None] | None = None
         """Called when the set-point of the action is discarded."""
         self._releasing: asyncio.Task[None] | None = None
-        self._lost_once = False
+        self._lost_once = self._outdated = False
         self._ticked, self._velocities = time.monotonic(), 0
+        self._fell = False
+        """Whether the drive was seen off while it was to be on, even if it is on again by now."""
         self._seen = (0, 0, 0, 0)
         self._shown: m.MotorState | None = None
         self._tick, self._step_due = 0, False
@@ -104,8 +106,16 @@ class Axis(AxisState):
         try:
             if self.drive.take(message):
                 self.last_message_at = time.monotonic()
+                self._look()
         finally:
             status.frame_at = None
+
+    def _look(self) -> None:
+        """Note what may be over before the end of a batch, which may hold a second of frames."""
+        if self.wanted_on and self.status.enabled is False:
+            self._fell = True
+        if self.status.counts["velocity"] != self._velocities and not self.slow:
+            self._still.clear()
 
     def _batch(self) -> None:
         status = self.status
@@ -121,8 +131,9 @@ class Axis(AxisState):
             self._reset()
         if status.twins != old[3]:
             self._doubled()
-        if self.wanted_on and not status.enabled and status.enabled is not None:
+        if self.wanted_on and self._fell:
             self._dropped()
+        self._fell = False
         if status.counts["velocity"] != self._velocities:
             self._velocities = status.counts["velocity"]
             if self.slow:
@@ -156,6 +167,7 @@ class Axis(AxisState):
         self._configure()
 
     def _configure(self) -> None:
+        self._outdated = True
         if self.configuring is None or self.configuring.done():
             self.configured = False
             with unfenced():
@@ -163,6 +175,7 @@ class Axis(AxisState):
 
     async def _prepare(self) -> None:
         while self.online:
+            self._outdated = False
             try:
                 await self.drive.configure()
             except RcpError as error:
@@ -171,6 +184,8 @@ class Axis(AxisState):
                 self._health.report(self.name, f"motor '{self.name}': {text}")
                 await asyncio.sleep(_RETRY)
             else:
+                if self._outdated:  # it rebooted meanwhile, and has forgotten the first settings
+                    continue
                 if self.faults.get("configuration") is not None:
                     self.faults.clear("configuration")
                     self._health.report(self.name, None)

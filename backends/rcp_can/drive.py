@@ -37,6 +37,7 @@ __all__ = [
 
 _ANSWER = 1.0  # s within which a drive must reach a requested state
 _AGAIN = 0.1  # s between two requests
+_LATE = 0.1  # s by which the event loop may wake late without having been held up
 KEPT = 1.0  # s a command may wait to be sent: by then, whoever asked for it has been told otherwise
 
 
@@ -270,6 +271,8 @@ class Drive(ABC):
     ) -> None:
         """Wait until `holds` returns true; `again` sends the request, now and every `every` s.
 
+        Time in which the event loop was held up is not counted: no drive could be heard then.
+
         :raises DeviceTimeout: the status does not appear within `seconds`.
         :raises DeviceRejected: the drive enters fault instead.
         """
@@ -287,9 +290,12 @@ class Drive(ABC):
             self._waiters.append((done, future))
             self.wake_waiters()
             left = end - loop.time()
-            pause = min(every, left) if again is not None else left
-            await asyncio.wait((future,), timeout=max(0.0, pause))
+            pause = max(0.0, min(every, left) if again is not None else left)
+            due = loop.time() + pause
+            await asyncio.wait((future,), timeout=pause)
             future.cancel()
+            if (late := loop.time() - due) > _LATE:
+                end += late
             if holds():
                 return
             if faults and (new := set(self.status.faults) - set(old)):

@@ -15,6 +15,7 @@ _AIMED = 0.03  # rad of bearing error below which it drives on
 _ASTRAY = 0.5  # rad of bearing error at which it turns on the spot again
 _STEERING = 2.0  # rad/s of yaw rate per rad of bearing error
 _RESERVE = 0.6  # fraction of the deceleration that the plan uses
+_GENTLER = 0.25  # of the deceleration, in a further attempt: half as fast at the same distance
 _CREEP, _CREEP_TURN = 0.02, 0.04  # m/s and rad/s: below these it would stick
 
 
@@ -58,7 +59,9 @@ class GoalControl:
         return aligned and self.distance(place) <= self._goal.tolerance
 
     def again(self, place: Place) -> None:
-        """Restart from a place."""
+        """Restart from a place, and brake earlier: what it overshot by, late feedback made it."""
+        self._acceleration *= _GENTLER
+        self._turn_acceleration *= _GENTLER
         near = self.distance(place) <= self._goal.tolerance
         self.phase = "aligning" if near else "turning"
 

@@ -20,6 +20,7 @@ _AHEAD = 256  # records read at a time
 _TURN = 64  # records published before others have the event loop
 _BACK = 64  # chunks searched for what was the case at a moment
 _NS = 1_000_000_000
+_SHORTEST = 0.05  # s that one round of a loop takes at least, however short the recording is
 
 
 class Player:
@@ -147,8 +148,7 @@ class Player:
             for _ in range(_TURN):
                 record = await self._next()
                 if record is None:
-                    self._finish()
-                    return 0 if self.loop else None
+                    return self._finish()
                 due = record.log_time - self.position
                 if due > 0 and not self.paused:
                     self._ready.appendleft(record)
@@ -159,16 +159,20 @@ class Player:
                 self._send(record)
         return 0
 
-    def _finish(self) -> None:
-        if self.loop and self.end > self.start:
-            self._since = None
-            self._rewind(self.start)
-            self.on_jump()
-        else:
+    def _finish(self) -> float | None:
+        """Begin again, or end; return the seconds until it goes on."""
+        nothing = self._from == self.start and self.published == self._already
+        if not self.loop or self.end <= self.start or nothing:
             self._hold()
             self._position = self.end
             self.ended = True
             self.on_jump()
+            return None
+        took = (self.end - self._from) / _NS / self.speed
+        self._since = None
+        self._rewind(self.start)
+        self.on_jump()
+        return max(0.0, _SHORTEST - took)
 
     def _send(self, record: Record) -> None:
         self.published += 1
@@ -181,7 +185,8 @@ class Player:
 
     def _rewind(self, moment: int) -> None:
         self.jumps += 1
-        self._position = moment
+        self._position = self._from = moment
+        self._already = self.published
         self.ended = False
         self._ready.clear()
         self._records = messages(self._recordings, self._wanted, moment)

@@ -148,7 +148,7 @@ class OfferNode:
             return
         self._servers.discard(server)
         self._left.append(server)
-        self.run(self._destroy_left)  # not while the thread uses it
+        self.run(self._destroy, server)  # not while the thread uses it, nor before it created it
 
     def close(self) -> None:
         """End the thread, and destroy the servers and the node; in the ROS thread."""
@@ -158,13 +158,15 @@ class OfferNode:
         self._thread.join(_END)
         self._left.extend(self._servers)
         self._servers.clear()
-        self._destroy_left()  # also what the thread has not come to
+        for server in tuple(self._left):  # also what the thread has not come to
+            self._destroy(server)
         self._node.destroy_node()
         self._node = self._executor = None
 
-    def _destroy_left(self) -> None:
-        while self._left:
-            contained(self._left.popleft().destroy, self._node)()
+    def _destroy(self, server: _Server) -> None:
+        if server in self._left:
+            self._left.remove(server)
+            contained(server.destroy, self._node)()
 
 
 def _spin(executor: Any) -> None:

@@ -15,6 +15,7 @@ from rcp_gateway.api import Session
 from rcp_gateway.client_api import ClientApi
 from rcp_ground_stations.answers import Refusal
 from rcp_ground_stations.config import StationConfig
+from rcp_ground_stations.stops import Stop, stop_of
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
 from rcp_mavlink.forwarding import asks_only
@@ -32,6 +33,7 @@ _SETPOINTS = frozenset({
     "SET_POSITION_TARGET_GLOBAL_INT", "SET_POSITION_TARGET_LOCAL_NED",
 })  # fmt: skip
 _REASON = "flies with a ground station"
+_OVERTAKEN = Refusal("cancelled", True, {})
 
 
 class Pilot:
@@ -51,12 +53,20 @@ class Pilot:
         self._ask = config.path("service", "mavlink/ask")
         self._waiting: deque[tuple[Frame, float]] = deque()
         """Frames, and when they came, in seconds since the epoch."""
-        self._room = asyncio.Event()
+        self._stops: dict[Stop, Frame] = {}
+        """Stops that wait, the newest of a kind."""
+        self._stopped = 0
+        """Stops that have come: what came before one must not reach the vehicle after it."""
+        self._room, self._stopping = asyncio.Event(), asyncio.Event()
+        self._controlling = asyncio.Lock()
         self._lease: str | None = None
         self._renewed = self._commanded = float("-inf")
 
     def take(self, frame: Frame) -> None:
-        """Pass a frame on in its turn; a set-point takes the place of an older one."""
+        """Pass a frame on in its turn; a set-point takes the place of an older one, a stop of all commands."""
+        if (stop := stop_of(frame)) is not None:
+            self._stop(stop, frame)
+            return
         kind = frame.definition.name
         if kind in _SETPOINTS:
             for waiting in [*self._waiting]:
@@ -68,8 +78,33 @@ class Pilot:
         self._waiting.append((frame, time.time()))
         self._room.set()
 
+    def _stop(self, stop: Stop, frame: Frame) -> None:
+        """Pass a stop on at once; what moves and still waits would undo it."""
+        self._stopped += 1
+        overtaken = [one for one, _ in self._waiting if not asks_only(one)]
+        self._waiting = deque(one for one in self._waiting if asks_only(one[0]))
+        for one in overtaken:
+            self._refused(one, _OVERTAKEN)
+        self._stops.pop(stop, None)
+        self._stops[stop] = frame
+        self._stopping.set()
+
     async def run(self) -> None:
         """Pass frames on, and give control back when there are no more commands, until cancelled."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._pass_stops())
+            group.create_task(self._pass_all())
+
+    async def _pass_stops(self) -> None:
+        """Pass stops on, beside the frames that may wait for the vehicle."""
+        while True:
+            await self._stopping.wait()
+            self._stopping.clear()
+            while self._stops:
+                frame = self._stops.pop(next(iter(self._stops)))
+                await self._safely(self._pass(frame, None))
+
+    async def _pass_all(self) -> None:
         while True:
             while self._waiting:
                 await self._safely(self._pass(*self._waiting.popleft()))
@@ -87,7 +122,9 @@ class Pilot:
         except Exception:  # of one frame: the next one may be to stop
             log.exception("frame_failed")
 
-    async def _pass(self, frame: Frame, came: float) -> None:
+    async def _pass(self, frame: Frame, came: float | None) -> None:
+        """Pass a frame on; a stop is of any time."""
+        stopped = self._stopped
         data = rebuilt(
             frame, None, 0
         )  # who signed it for the gateway is no affair of the vehicle's
@@ -95,7 +132,10 @@ class Pilot:
         if asks_only(frame):
             refusal = await self._request("execute", self._ask, {"data": data})
         else:
-            refusal = await self._control()
+            async with self._controlling:
+                refusal = await self._control()
+            if refusal is None and came is not None and self._stopped != stopped:
+                refusal = _OVERTAKEN
             if refusal is None:
                 self._commanded = self._now()
                 # Sticks of a while ago move nothing: the gateway refuses what has waited too long.

@@ -46,6 +46,7 @@ class Station:
         self._pilot = Pilot(config, client_api, self._connection.session, self._refused)
         self._vehicle = 1
         self._again: asyncio.TimerHandle | None = None
+        self._resubscribing: asyncio.TimerHandle | None = None
         self._known: dict[Any, float] = {}
         """Addresses of ground stations, and when each sent its last genuine frame."""
         self._tasks: list[asyncio.Task[None]] = []
@@ -70,8 +71,9 @@ class Station:
 
     async def close(self) -> None:
         """Give control back and close the link."""
-        if self._again is not None:
-            self._again.cancel()
+        for timer in (self._again, self._resubscribing):
+            if timer is not None:
+                timer.cancel()
         for task in self._tasks:
             task.cancel()
             with suppress(asyncio.CancelledError):
@@ -83,6 +85,9 @@ class Station:
     # From the gateway
 
     def _subscribe(self) -> None:
+        if self._resubscribing is not None:
+            self._resubscribing.cancel()
+            self._resubscribing = None
         request = {
             "type": "subscribe",
             "id": "frames",
@@ -124,6 +129,8 @@ class Station:
                     robot=self._config.robot,
                     reason=message["error"]["message"],
                 )
+                # It may be allowed later: by a condition of its role, or when there is room.
+                self._resubscribing = self._client_api.loop.call_later(_AGAIN, self._subscribe)
             case _:
                 pass
 

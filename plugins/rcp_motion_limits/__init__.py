@@ -33,8 +33,7 @@ def _check(config: MotionLimitsConfig, gateway: GatewayConfig) -> None:
 
 def _make(config: MotionLimitsConfig, host: FeatureHost) -> Feature:
     limits = MotionLimits(host)
-    guard = MotionLimitGuard(limits)
-    FenceWatch(limits, host)
+    guard = MotionLimitGuard(limits, FenceWatch(limits, host))
     limits.configure(config)
     return Feature(
         guard=guard,

@@ -72,6 +72,16 @@ class FenceCheck:
         except RcpError:  # reported as a fault of the backend
             return None
 
+    @property
+    def remaining(self) -> float:
+        """Seconds for which the latest position still counts as known; at most 0 if it does not."""
+        entry = self._entries.get(self.sensor or "")
+        age = None if entry is None else entry.age
+        if entry is None or age is None:
+            return 0.0
+        limit = self._max_age if entry.deadline is None else min(self._max_age, entry.deadline)
+        return limit - age
+
     def present(self) -> tuple[float, float] | None:
         """Return the robot's current position, or None if it is unknown."""
         entry = self._entries.get(self.sensor or "")

@@ -1,4 +1,4 @@
-"""Monitors the position of driven robots, and stops a robot that leaves its fence.
+"""Monitors the position of driven robots, and stops a robot that is not known to be in its fence.
 
 Keeps every sensor that a limit uses published, so that its current value is known when a command
 arrives.
@@ -6,6 +6,7 @@ arrives.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 
 import structlog
@@ -19,6 +20,7 @@ from rcp_motion_limits.limits import BoundPath, MotionLimits
 __all__ = ["FenceWatch"]
 
 log = structlog.get_logger("rcp.envelopes")
+_SOON = 0.01  # s, at least, until a position is looked at again
 
 
 class FenceWatch:
@@ -31,7 +33,17 @@ class FenceWatch:
         self._fenced: dict[str, dict[str, None]] = {}
         """By sensor: the paths whose commands depend on it."""
         self._ends: dict[str, Callable[[], None]] = {}
+        self._timers: dict[str, asyncio.TimerHandle] = {}
+        """By sensor: when its position becomes too old, while something depends on it."""
         limits.on_bound.append(self._bound)
+        host.robots.follow_state(self._state_changed)
+
+    def moving(self, bound: BoundPath) -> None:
+        """Note that a command has been sent: it ends when a position that it needs is unknown."""
+        for limit in bound.envelopes:
+            sensor = None if limit.fence is None else limit.fence.sensor
+            if sensor is not None and sensor not in self._timers:
+                self._arm(sensor)
 
     def _bound(self, path: str, old: BoundPath | None, new: BoundPath | None) -> None:
         before = set[str]() if old is None else old.sensors
@@ -46,30 +58,67 @@ class FenceWatch:
             if not self._fenced[sensor]:
                 del self._fenced[sensor]
                 self._ends.pop(sensor)()
+        for sensor in before | after:
+            self._arm(sensor)
+
+    def _arm(self, sensor: str) -> None:
+        """Look again when the position becomes too old, while something depends on it."""
+        if (timer := self._timers.pop(sensor, None)) is not None:
+            timer.cancel()
+        remaining: list[float] = []
+        for path in self._fenced.get(sensor, ()):
+            bound = self._limits.bound(path)
+            if bound is not None and self._depends(bound):
+                fences = (limit.fence for limit in bound.envelopes)
+                remaining += [f.remaining for f in fences if f is not None and f.sensor == sensor]
+        if remaining:
+            delay = max(min(remaining), _SOON)
+            self._timers[sensor] = self._host.loop.call_later(delay, self._expired, sensor)
+
+    def _expired(self, sensor: str) -> None:
+        self._check(sensor)
+        self._arm(sensor)
+
+    def _depends(self, bound: BoundPath) -> bool:
+        entry = bound.entry
+        return entry.path in self._limits.drivers or (
+            entry.kind is Kind.ACTION
+            and any(not command.cancelling for command in self._host.control.running(entry.path))
+        )
+
+    def _state_changed(self) -> None:
+        """Check positions of robots that may have become unavailable."""
+        for sensor in tuple(self._timers):
+            entry = self._robots.entries.get(sensor)
+            if entry is None or entry.unit.usable_backend is None:
+                self._check(sensor)
 
     def _offer(self, sample: Sample) -> None:
+        self._check(sample.entry.path)
+
+    def _check(self, sensor: str) -> None:
         """Check whether the commands that depend on a sensor may continue."""
-        for path in tuple(self._fenced.get(sample.entry.path, ())):
+        for path in tuple(self._fenced.get(sensor, ())):
             bound = self._limits.of(path)
             if bound is not None:
-                self._look(bound, sample)
+                self._look(bound, sensor)
 
-    def _look(self, bound: BoundPath, sample: Sample) -> None:
-        """Stop an actuator whose robot is outside the fence of its driver."""
+    def _look(self, bound: BoundPath, sensor: str) -> None:
+        """Stop an actuator whose robot is not known to be within the fence of its driver."""
         entry = bound.entry
         driver = self._limits.drivers.get(entry.path)
-        if driver is not None and (why := _trouble(bound, driver, sample)) is not None:
+        if driver is not None and (why := _trouble(bound, driver, sensor)) is not None:
             self._limits.drivers.pop(entry.path)
             self._host.control.stop(entry)
             self._notify(driver, bound, *why)
         elif entry.kind is Kind.ACTION:
-            self._look_at_commands(bound, sample)
+            self._look_at_commands(bound, sensor)
 
-    def _look_at_commands(self, bound: BoundPath, sample: Sample) -> None:
+    def _look_at_commands(self, bound: BoundPath, sensor: str) -> None:
         for command in self._host.control.running(bound.entry.path):
             if command.requester is None or command.cancelling:
                 continue
-            why = _trouble(bound, command.requester, sample)
+            why = _trouble(bound, command.requester, sensor)
             if why is not None:
                 self._host.control.cancel(command, why[-1])
                 self._notify(command.requester, bound, *why)
@@ -93,14 +142,18 @@ class FenceWatch:
         )
 
 
-def _trouble(bound: BoundPath, driver: Session, sample: Sample) -> tuple[str, str, str] | None:
+def _trouble(bound: BoundPath, driver: Session, sensor: str) -> tuple[str, str, str] | None:
     """Return the sensor, the violated limit and a description; None if there is none."""
     for envelope in bound.held(driver.principal.grants):
         place = envelope.fence
-        if place is None or place.sensor != sample.entry.path:
+        if place is None or place.sensor != sensor:
             continue
-        where = place.of_sample(sample)
-        trouble = None if where is None else place.trouble(*where)
-        if trouble is not None:
-            return sample.entry.path, envelope.table.name, f"the robot {trouble[1]}{envelope.why}"
+        where = place.present()
+        if where is None:
+            why = f"the robot's position is unknown{envelope.why}"
+        elif (trouble := place.trouble(*where)) is not None:
+            why = f"the robot {trouble[1]}{envelope.why}"
+        else:
+            continue
+        return sensor, envelope.table.name, why
     return None

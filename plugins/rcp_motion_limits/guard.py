@@ -10,6 +10,7 @@ from rcp_kernel.features import Call, CommandObserver, Guard, Slot, StatusPart
 from rcp_kernel.model import Kind
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
+from rcp_motion_limits.fence_watch import FenceWatch
 from rcp_motion_limits.limits import MotionLimits
 
 __all__ = ["MotionLimitGuard"]
@@ -20,8 +21,9 @@ class MotionLimitGuard(Guard, CommandObserver):
 
     slot = Slot.MOTION_LIMIT
 
-    def __init__(self, limits: MotionLimits) -> None:
+    def __init__(self, limits: MotionLimits, fences: FenceWatch) -> None:
         self._limits = limits
+        self._fences = fences
 
     @property
     def active(self) -> bool:
@@ -73,6 +75,7 @@ class MotionLimitGuard(Guard, CommandObserver):
             self._limits.drivers.pop(call.entry.path, None)
         else:
             self._limits.drivers[call.entry.path] = call.session
+        self._fences.moving(bound)
 
     def took(self, entry: Entry, value: Any, actual: Any) -> None:
         """Record that the robot accepted a value, as `actual`."""

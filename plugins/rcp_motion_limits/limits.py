@@ -147,6 +147,10 @@ class MotionLimits:
             self._work_out(path)
         return self._bound.get(path)
 
+    def bound(self, path: str) -> BoundPath | None:
+        """Return the limits that a path had when it was last resolved."""
+        return self._bound.get(path)
+
     def applied(self, session: Session, entry: Entry) -> list[dict[str, Any]]:
         """List the limits that apply to a command of the session."""
         bound = self.of(entry.path)

@@ -23,7 +23,7 @@ class PlacesConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """`[features.places]`."""
 
     most: Annotated[int, Meta(ge=1, le=10_000)] = 500
-    """Maximum number of places that people can add."""
+    """Maximum number of places that people can add to one tenant, and of those of all tenants."""
     given: dict[Name, GivenPlace] = {}
     """Places that only the configuration changes, by name."""
 

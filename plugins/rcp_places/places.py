@@ -96,9 +96,13 @@ class Places:
         place = None if edit.do == "remove" else self._made(session, edit, tenant)
         if place is None and key not in self._added:
             raise UnknownPath(f"there is no place '{edit.name}'", path=PATH)
-        if place is not None and key not in self._added and len(self._added) >= self._most:
+        own = sum(other == tenant for other, _ in self._added)
+        if place is not None and key not in self._added and own >= self._most:
+            whose = "all" if tenant == EVERYONE else tenant
             raise QueueFull(
-                f"there are already {self._most} places", path=PATH, remedy="Remove one first."
+                f"there are already {self._most} places of {whose}",
+                path=PATH,
+                remedy="Remove one first.",
             )
         if dry_run:
             return place

@@ -64,6 +64,11 @@ class StepRequests:
         while True:
             limit = None if left is None else max(end - loop.time(), 0.001)
             request = await self._request(node, step, limit)
+            if (
+                len(bytes(request.body)) > LONG
+            ):  # a plan that ends meanwhile must not write it later
+                steps = self._host.prepare(self._session, request)
+                request = await self._turns.finish(self._owner, steps)
             reply = await self._ask(node, request, on_progress)
             if reply.error is None:
                 node.state.truncated, node.state.cursor = reply.truncated, reply.cursor

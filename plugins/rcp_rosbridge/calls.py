@@ -124,6 +124,9 @@ class Calls:
                     )
                 )
                 return
+            if key in self._cancelled:
+                self._end(op, {}, _STATES["cancelled"], succeeded=True)
+                return
             self._execute(op, action)
 
         self._context.with_graph(use, failed)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Any, Literal
 
 import msgspec
@@ -134,13 +135,17 @@ class Actions:
         self.counts["fired"] += 1
         firing = self._firing(trigger, robot, "fired", values=values)
         if trigger.spec.alarm:
-            kept.alarm = self._alarms.fired(trigger.key, firing)
-            firing = msgspec.structs.replace(firing, alarm=kept.alarm)
+            with _apart(trigger, "alarm"):
+                kept.alarm = self._alarms.fired(trigger.key, firing)
+                firing = msgspec.structs.replace(firing, alarm=kept.alarm)
         for target in trigger.spec.notify:
-            self._outbox.add(target, "trigger.fired", _notice(firing))
+            with _apart(trigger, "notify"):
+                self._outbox.add(target, "trigger.fired", _notice(firing))
         if trigger.spec.incident:
-            firing = self._record(firing)
-        self._tell(trigger, firing)
+            with _apart(trigger, "incident"):
+                firing = self._record(firing)
+        with _apart(trigger, "record"):
+            self._tell(trigger, firing)
         if trigger.spec.execute is not None:
             self._command(trigger, robot, firing, trigger.spec.execute)
 
@@ -190,16 +195,17 @@ class Actions:
         try:
             reply = await self.send(trigger, robot, do, key=firing.id)
         except RcpError as error:
-            self._ended(trigger, robot, firing, error.code, error.message)
+            self._ended(trigger, robot, firing, error.code, answer=error.message)
             return
         except Exception as error:
             log.exception("trigger_command_failed", trigger=trigger.name)
             self._ended(trigger, robot, firing, "internal", type(error).__name__)
             return
         if reply.error is None:
-            self._ended(trigger, robot, firing, reply.status, reply.message)
+            self._ended(trigger, robot, firing, reply.status, answer=reply.message)
         else:
-            self._ended(trigger, robot, firing, reply.error["code"], reply.error["message"])
+            code, message = reply.error["code"], reply.error["message"]
+            self._ended(trigger, robot, firing, code, answer=message)
 
     async def send(
         self, trigger: Trigger, robot: OnRobot, do: Do, *, key: str | None = None
@@ -225,15 +231,25 @@ class Actions:
         return await final
 
     def _ended(
-        self, trigger: Trigger, robot: OnRobot, firing: Firing, outcome: str, detail: str | None
+        self,
+        trigger: Trigger,
+        robot: OnRobot,
+        firing: Firing,
+        outcome: str,
+        detail: str | None = None,
+        *,
+        answer: str | None = None,
     ) -> None:
-        robot.outcome, robot.detail = outcome, detail
+        """Tell of the end of a command; of an `answer`, which says what its maker may know, to nobody else."""
+        robot.outcome, robot.detail, robot.answer = outcome, detail, answer
         if robot.kept.command == firing.id:
             robot.kept.command = None
             self._keep(trigger, robot)
         if outcome != "completed":
             self.counts["command_failed"] += 1
-            log.warning("trigger_command", trigger=trigger.name, outcome=outcome, detail=detail)
+            log.warning(
+                "trigger_command", trigger=trigger.name, outcome=outcome, detail=detail or answer
+            )
         told = msgspec.structs.replace(
             firing,
             what="command",
@@ -296,6 +312,15 @@ class Actions:
 
     def _keep(self, trigger: Trigger, robot: OnRobot) -> None:
         self._store.put(f"{trigger.key} {robot.place.key}", to_plain(robot.kept))
+
+
+@contextmanager
+def _apart(trigger: Trigger, part: str) -> Generator[None]:
+    """Keep a failure of one part of a firing from the others: the command may be a stop."""
+    try:
+        yield
+    except Exception:
+        log.exception("trigger_part_failed", trigger=trigger.name, part=part)
 
 
 def command_request(do: Do, robot: OnRobot, key: str | None) -> Request:

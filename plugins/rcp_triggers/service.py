@@ -71,7 +71,7 @@ class TriggerService:
         for _, trigger in sorted(self._triggers.known.items()):
             robots = self._seen(session, trigger)
             if robots is not None:
-                yield to_plain(trigger.state(robots))
+                yield to_plain(trigger.state(robots, session.principal))
             yield None
 
     def _seen(self, session: Session, trigger: Trigger) -> list[OnRobot] | None:
@@ -132,7 +132,9 @@ class TriggerService:
 
     def _check_room(self, session: Session, tenant: str, name: str) -> None:
         known = self._triggers.known
-        if name in known or f"{tenant}/{name}" in known:
+        configured = known.get(name)
+        seen = configured is not None and self._seen(session, configured) is not None
+        if seen or f"{tenant}/{name}" in known:
             raise ModeForbids(
                 f"there is a trigger '{name}' already",
                 path=TRIGGERS,
@@ -218,13 +220,14 @@ class TriggerService:
 
     def _test(self, session: Session, name: str) -> Coroutine[Any, Any, TriggerReply]:
         trigger = self._find(session, name)
-        return self._tested(trigger, self._seen(session, trigger) or [])
+        own = trigger.is_of(session.principal)
+        return self._tested(trigger, self._seen(session, trigger) or [], own=own)
 
-    async def _tested(self, trigger: Trigger, robots: list[OnRobot]) -> TriggerReply:
-        results = [await self._result(trigger, robot) for robot in robots]
+    async def _tested(self, trigger: Trigger, robots: list[OnRobot], *, own: bool) -> TriggerReply:
+        results = [await self._result(trigger, robot, own=own) for robot in robots]
         return TriggerReply(did="tested", trigger=trigger.name, robots=results)
 
-    async def _result(self, trigger: Trigger, robot: OnRobot) -> TestResult:
+    async def _result(self, trigger: Trigger, robot: OnRobot, *, own: bool) -> TestResult:
         spec, watch = trigger.spec, robot.watch
         if trigger.stopped is None:
             watch.look()
@@ -233,7 +236,7 @@ class TriggerService:
         refused = trigger.stopped
         if spec.execute is not None:
             would.append(f"execute {spec.execute.path}")
-            refused = refused or await self._refusal(trigger, robot)
+            refused = refused or await self._refusal(trigger, robot, own=own)
         return TestResult(
             robot=robot.place.key,
             condition=watch.condition,
@@ -243,14 +246,14 @@ class TriggerService:
             refused=refused,
         )
 
-    async def _refusal(self, trigger: Trigger, robot: OnRobot) -> str | None:
-        """Dry-run the command with the rights of the trigger's maker."""
+    async def _refusal(self, trigger: Trigger, robot: OnRobot, *, own: bool) -> str | None:
+        """Dry-run the command with the rights of the trigger's maker, who alone gets the words."""
         assert trigger.spec.execute is not None
         try:
             reply = await self._actions.send(trigger, robot, trigger.spec.execute)
         except RcpError as error:
-            return error.message
-        return None if reply.error is None else str(reply.error["message"])
+            return error.message if own else error.code
+        return None if reply.error is None else str(reply.error["message" if own else "code"])
 
     def _note(self, session: Session, trigger: Trigger, outcome: str) -> None:
         paths = [

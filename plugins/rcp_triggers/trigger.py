@@ -73,6 +73,8 @@ class OnRobot:
         """Waits for the end of its command."""
         self.outcome: str | None = None
         self.detail: str | None = None
+        self.answer: str | None = None
+        """What its last command was answered, in words for its maker alone."""
 
     def moved(self, now: int) -> bool:
         """Note since when it is in its state; return whether that is new."""
@@ -81,8 +83,8 @@ class OnRobot:
         self._state, self.since = self.watch.machine.state, now
         return True
 
-    def state(self) -> RobotState:
-        """Describe it."""
+    def state(self, *, own: bool) -> RobotState:
+        """Describe it, to its maker as `own`."""
         kept = self.kept
         return RobotState(
             robot=self.place.key,
@@ -95,7 +97,7 @@ class OnRobot:
             suppressed=self.suppressed,
             limited=self.limited,
             outcome=self.outcome,
-            detail=self.detail,
+            detail=self.detail or (self.answer if own else None),
         )
 
 
@@ -178,13 +180,18 @@ class Trigger:
             if robot.command is not None:
                 robot.command.cancel()
 
-    def state(self, robots: list[OnRobot]) -> TriggerState:
+    def is_of(self, reader: Principal) -> bool:
+        """Return whether it acts in the name of somebody."""
+        return self.maker is not None and self.maker.identity == reader.identity
+
+    def state(self, robots: list[OnRobot], reader: Principal) -> TriggerState:
         """Describe it on some of its robots."""
+        own = self.is_of(reader)
         return TriggerState(
             trigger=self.name,
             spec=self.spec,
             by=None if self.configured or self.maker is None else self.maker.name,
             made=None if self.made is None else iso(self.made),
             stopped=self.stopped,
-            robots=[robot.state() for robot in robots],
+            robots=[robot.state(own=own) for robot in robots],
         )

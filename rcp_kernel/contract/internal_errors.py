@@ -40,6 +40,7 @@ def attribute_error(
     *,
     sent: bool = False,
     trace: Trace | None = None,
+    command: str | None = None,
 ) -> RcpError:
     """Convert a backend's confidential exception to an error that names the backend.
 
@@ -47,6 +48,8 @@ def attribute_error(
     """
     link = LinkLost if sent else AdapterUnavailable
     facts = {"backend": origin, "path": path}
+    if command is not None:
+        facts["command"] = command
     converted = _converted(error, link, "backend failed; see the gateway's log", trace, facts)
     converted.origin = converted.origin or origin
     return converted

@@ -107,6 +107,15 @@ class ActionHost(Protocol):
         """
         ...
 
+    def prepare(self, session: Session, request: Request) -> Generator[None, None, Request]:
+        """Check and decode a long body in steps; `send` then carries the request out at once.
+
+        Whoever gives up meanwhile has sent nothing.
+
+        :raises PayloadTooLarge: it has too many values.
+        """
+        ...
+
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, by its `custom` field, while it runs."""
         ...

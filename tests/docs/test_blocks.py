@@ -157,7 +157,7 @@ def parses(command: click.Command, name: str, arguments: list[str]) -> None:
 _PART = re.compile(r"(interfaces = |\[backends\.)")
 # What an excerpt leaves out, or only the reader's machine has.
 _LEFT_OUT = re.compile(
-    r"cannot be (read|imported)|No such file|there is no (recording|folder)|"
+    r"cannot be (read|imported)|No such file|there is no (recording|folder|file)|"
     r"needs `buses`|there is no tenant|refers to the unknown tenant|"
     r"no installed plugin offers \w+ '(lift|maintenance|site|tcp|text|turntable|turtle)'"
 )

@@ -13,6 +13,7 @@ from configuration import backend, key, listener, table
 from rcp_gateway.log import configure
 from rcp_gateway.server import Server
 from rcp_gateway.testing import ScriptedRobot, scripted, serve
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
@@ -108,6 +109,7 @@ async def site(
     sse: str = "",
     more: str = "",
     folder: Path | None = None,
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration, the store is in `folder` if given."""
     robots: list[ScriptedRobot] = []
@@ -122,7 +124,7 @@ async def site(
         text += table(f"transports.{name}") + fields
     with TemporaryDirectory() as scratch:
         text += ROBOTS + more + table("store", path=f"{folder or scratch}/store.db")
-        async with serve(parse(text, "test"), scripted(make)) as served:
+        async with serve(parse(text, "test"), scripted(make), clock=clock) as served:
             yield Site(served.server, robots)
 
 

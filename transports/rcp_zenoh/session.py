@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import threading
 from collections.abc import AsyncGenerator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from functools import cache
@@ -16,9 +17,11 @@ from zenoh.handlers import Callback
 from rcp_kernel.errors import NotReady
 from rcp_zenoh.tls import TlsConfig
 
-__all__ = ["configuration", "on_loop", "opened"]
+__all__ = ["Intake", "configuration", "on_loop", "opened"]
 
 log = structlog.get_logger("rcp.zenoh")
+_ROOM = 67_108_864  # bytes that wait for the event loop
+_EACH = 1024  # bytes that a sample takes beside its payload
 _PAUSE = 1.0  # s between two attempts to reach a router
 _SESSIONS, _PENDING = 20_000, 2_000  # of a router: robots, and those that come at once
 _QUEUES = {"real_time": 16, "interactive_high": 16, "data": 8, "background": 16}
@@ -112,3 +115,49 @@ def on_loop(
             loop.call_soon_threadsafe(handle, sample)
 
     return Callback(receive, indirect=False)
+
+
+class Intake:
+    """Samples on their way to the event loop: what is more than it can take is dropped, stops never.
+
+    Zenoh's thread must not be blocked: it receives the stops as well. A link notices what it lacks by
+    the numbers of its messages.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        handle: Callable[[zenoh.Sample], object],
+        room: int = _ROOM,
+    ) -> None:
+        """`room` is the number of bytes that may wait."""
+        self._loop, self._handle, self._room = loop, handle, room
+        self._lock = threading.Lock()
+        self._waiting = self._untold = 0
+        self.dropped = 0
+        """Samples that found no room."""
+
+    def callback(self) -> Callback[zenoh.Sample]:
+        """Return what a subscriber calls in Zenoh's receiving thread."""
+        return Callback(self.receive, indirect=False)
+
+    def receive(self, sample: Any) -> None:
+        """Take a sample, in any thread."""
+        if self._loop.is_closed():
+            return
+        size = _EACH + len(sample.payload)
+        with self._lock:
+            if self._waiting + size > self._room and sample.priority != zenoh.Priority.REAL_TIME:
+                self.dropped += 1
+                return
+            self._waiting += size
+        self._loop.call_soon_threadsafe(self._pass, sample, size)
+
+    def _pass(self, sample: zenoh.Sample, size: int) -> None:
+        with self._lock:
+            self._waiting -= size
+            done = not self._waiting
+        if done and self.dropped != self._untold:
+            self._untold = self.dropped
+            log.warning("zenoh_messages_dropped", dropped=self.dropped)
+        self._handle(sample)

@@ -18,7 +18,7 @@ from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.declared_keys import DeclaredKeys
 from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
-from rcp_zenoh.session import configuration, on_loop, opened
+from rcp_zenoh.session import Intake, configuration, on_loop, opened
 from rcp_zenoh.statistics import Statistics
 
 __all__ = ["joined"]
@@ -117,7 +117,7 @@ async def _serve(config: ZenohConfig, client_api: ClientApi, statistics: Statist
         tokens = session.liveliness().declare_subscriber(
             keys.token, on_loop(loop, links.token), history=True
         )
-        messages = session.declare_subscriber(keys.up, on_loop(loop, links.message))
+        messages = session.declare_subscriber(keys.up, Intake(loop, links.message).callback())
         take = client_api.service(_REVOCATIONS)
         revocations = session.declare_subscriber(
             revoked(config.tenant),

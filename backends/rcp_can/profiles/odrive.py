@@ -15,7 +15,7 @@ from rcp_can.procedure import Procedure
 from rcp_can.profiles.odrive_endpoints import Endpoints, set_watchdog
 from rcp_can.profiles.odrive_messages import MESSAGES, faults_of
 from rcp_can.profiles.odrive_procedures import odrive_procedures
-from rcp_can.profiles.odrive_states import HOMING, PREPARING, SELF_MOVING, reason
+from rcp_can.profiles.odrive_states import HOMING, PREPARING, SELF_MOVING, History, reason
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ _FAST = 0.05  # s: a set-point older than this is not worth sending
 
 
 _DONE = 1 << 7  # of the controller's flags of firmware 0.5
-_HEARTBEATS = 2  # that may predate a request
 
 
 class OdriveOptions(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -68,8 +67,7 @@ class OdriveDrive(Drive):
         self._serial: tuple[float, float] | None = None
         self._version: dict[str, int] | None = None
         self._result = 0
-        self._unsettled = 0
-        """Heartbeats to come that may predate the request for a calibration, or for homing."""
+        self._history = History()
         self.values: dict[int, int] = {}
         """The endpoints read since they were last asked for, as raw 32-bit values."""
         self._endpoints = Endpoints.load(options.endpoints) if options.endpoints else None
@@ -97,7 +95,7 @@ class OdriveDrive(Drive):
     @property
     def busy(self) -> bool:
         """Whether it calibrates or homes, or may be about to."""
-        return self._unsettled > 0 or self._state in SELF_MOVING
+        return not self._history.settled or self._state in SELF_MOVING
 
     def procedures(self, gear: float, velocity: float) -> Sequence[Procedure]:
         """Offer calibration, and storing of the configuration."""
@@ -129,7 +127,8 @@ class OdriveDrive(Drive):
         if state == 0 or (self._state not in (0, 1) and state == _IDLE and error & 1):
             status.resets += 1
         self._state, self._result = state, result
-        self._unsettled = max(0, self._unsettled - 1)
+        received = status.beat if status.frame_at is None else status.frame_at
+        self._history.add(state, result, received, sent=self.bus.lag == 0.0)
         status.enabled = state not in (0, _IDLE)
         if self._version is None and (error or controller & _DONE):
             done = controller >> 7  # 0.5, which tells no version, has an encoder's error there
@@ -264,19 +263,26 @@ class OdriveDrive(Drive):
         """Write one of its endpoints; it does not answer."""
         self._transmit("access", opcode=1, endpoint=number, value=value)
 
-    async def calibrate(self, state: int, seconds: float, tell: Callable[[int], None]) -> None:
+    async def calibrate(
+        self, state: int, seconds: float, tell: Callable[[int], None], begun: Callable[[], object]
+    ) -> None:
         """Run a calibration; return when it has ended in idle without an error.
 
+        `begun` is called once it is known to have run: a failure from then on is no refusal.
+
         :raises DeviceRejected: it does not start, or fails, with the drive's reason.
-        :raises DeviceTimeout: it does not end in time.
+        :raises DeviceTimeout: it does not end in time, or may have run unheard.
         """
-        self._unsettled, self._ours, self._input = _HEARTBEATS, True, ("velocity", {})
-        seen: list[int] = []
+        history, told = self._history, 0
+        self._ours, self._input = True, ("velocity", {})
+        history.begin(self._result, time.monotonic())
 
         def ended() -> bool:
-            if self._state in PREPARING and self._state not in seen[-1:]:
-                seen.append(self._state)
-                tell(self._state)
+            nonlocal told
+            seen = [each for each in history.states if each in PREPARING]
+            for each in seen[told:]:
+                tell(each)
+            told = len(seen)
             return not self.busy
 
         try:
@@ -284,13 +290,21 @@ class OdriveDrive(Drive):
             await self.until(ended, "at the end of its calibration", seconds=seconds)
         finally:
             self._ours = False
-        if (failure := reason(self._result)) is not None:
+            if history.ran:
+                begun()
+        if history.ran and (failure := reason(self._result)) is not None:
             raise DeviceRejected(f"the calibration failed: {failure}")
-        if not seen:
+        if history.ran:
+            return
+        if history.complete:
             raise DeviceRejected(
                 "the drive did not start the calibration",
                 remedy="Check that its motor and encoder are configured (odrivetool).",
             )
+        raise DeviceTimeout(
+            "heartbeats of the drive were missed: it is not known whether it ran the calibration",
+            remedy="Check with odrivetool that it is calibrated, or run it again.",
+        )
 
     async def save(self) -> None:
         """Store the configuration; the drive reboots once it has.
@@ -350,13 +364,14 @@ class OdriveDrive(Drive):
 
     async def home(self, begun: Callable[[], object]) -> None:
         """Run the drive's own homing, then return to closed loop."""
-        self._moving, self._unsettled = False, _HEARTBEATS
+        self._moving = False
+        self._history.begin(self._result, time.monotonic())
         self._input = "torque", {}  # feeds its watchdog; a velocity would be that of homing
         self._transmit("state", state=HOMING)
-        await self.until(lambda: self._state == HOMING, "homing")
+        await self.until(lambda: HOMING in self._history.states, "homing")
         begun()
         await self.until(
-            lambda: self._state != HOMING, "done with homing", seconds=self.options.home_timeout
+            lambda: not self.busy, "done with homing", seconds=self.options.home_timeout
         )
         if self._state != _CLOSED_LOOP:
             failure = reason(self._result)

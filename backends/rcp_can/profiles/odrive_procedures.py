@@ -42,7 +42,7 @@ class CalibrationFeedback(Struct, frozen=True, kw_only=True):
 
 
 class Calibrated(Struct, frozen=True, kw_only=True):
-    """The states that the drive went through, before it was idle again without an error."""
+    """The states that the drive was seen to go through, before it was idle again without an error."""
 
     states: list[str]
     duration: Seconds
@@ -51,8 +51,10 @@ class Calibrated(Struct, frozen=True, kw_only=True):
 class _Drive(Protocol):
     """A drive that calibrates itself."""
 
-    async def calibrate(self, state: int, seconds: float, tell: Callable[[int], None]) -> None:
-        """Run a calibration to its end."""
+    async def calibrate(
+        self, state: int, seconds: float, tell: Callable[[int], None], begun: Callable[[], object]
+    ) -> None:
+        """Run a calibration to its end; tell its states, and that it has begun."""
         ...
 
     async def save(self) -> None:
@@ -71,7 +73,7 @@ def odrive_procedures(drive: _Drive) -> Sequence[Procedure]:
             states.append(STATES[state])
             progress(CalibrationFeedback(state=states[-1]))
 
-        await drive.calibrate(CALIBRATIONS[wanted.sequence], wanted.timeout, tell)
+        await drive.calibrate(CALIBRATIONS[wanted.sequence], wanted.timeout, tell, progress)
         return Calibrated(states=states, duration=time.monotonic() - began)
 
     async def save(_value: None, _progress: Progress) -> None:

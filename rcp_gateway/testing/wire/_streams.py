@@ -85,7 +85,7 @@ class Streams(Wire):
     @proves("stream.rate")
     async def test_a_rate_lets_the_newest_through_at_its_time(self, world: World) -> None:
         client = await world.client()
-        id_ = await client.subscribe(LEVEL, rate=20, initial=False)
+        id_ = await client.subscribe(LEVEL, rate=2, initial=False)
         started = time.monotonic()
         world.publish("sensor/level", 1.0)
         assert await bodies(client, id_, 1) == [1.0]
@@ -93,7 +93,7 @@ class Streams(Wire):
         assert await bodies(client, id_, 1) == [3.0]
         world.publish("sensor/level", 4.0, 5.0, 6.0)
         assert await bodies(client, id_, 1) == [6.0]
-        assert time.monotonic() - started > 0.08
+        assert time.monotonic() - started > 0.8
 
     @proves("stream.rate-source")
     async def test_the_wanted_rate_reaches_the_source_and_goes_with_its_subscriber(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+import time
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from itertools import pairwise
@@ -37,6 +38,7 @@ FOLLOW = "action/arm/follow_trajectory"
 JOINTS, MOVE, STATES = "actuator/arm/joints", "action/arm/move_joints", "sensor/arm/joints"
 PROFILES = {"pan": ("odrive", 1), "tilt": ("cia402", 5), "roll": ("mit", 9)}
 """A drive with trajectories of its own, one of CANopen, and one that does as it is told."""
+CREEP = 0.016  # rad/s at most of a mini-cheetah that is told to rest: its 12 bits have no zero
 LOST = (AdapterUnavailable, DeviceTimeout)
 """What a silent drive is called: without contact, or without a position, whichever is noticed first."""
 
@@ -189,10 +191,12 @@ async def test_a_dry_run_of_a_trajectory_plans_it() -> None:
 
 
 async def test_a_move_leaves_joints_alone_that_it_does_not_name() -> None:
+    began = time.monotonic()
     async with arm() as rig:
         moved = await rig.ran(MOVE, {"positions": {"pan": 0.5}, "speed": 0.5})
         assert moved["duration"] > 0.5
-        assert abs(rig.twins["roll"].plant.position) < 0.01
+        creeps = CREEP * (time.monotonic() - began)
+        assert abs(rig.twins["roll"].plant.position) < 0.005 + creeps
         with pytest.raises(InvalidValue, match="no joint"):
             await rig.ran(MOVE, {"positions": {}})
 

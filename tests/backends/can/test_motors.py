@@ -309,7 +309,10 @@ async def test_a_joint_that_is_held_fast_is_told_and_left_at_rest() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"node": 64}, r"motors\.m\.node: odrive has nodes 0 to 63"),
+        (
+            {"node": 64, "profile": "rcp_can.profiles.odrive:PROFILE"},
+            r"motors\.m\.node: rcp_can\.profiles\.odrive:PROFILE has nodes 0 to 63",
+        ),
         ({"options": {"gears": 1}}, r"motors\.m\.options: .*gears"),
     ],
 )

@@ -10,6 +10,7 @@ from typing import Any
 
 from backends.ros2.robot import BOUND, Base, Commander, Robot, fresh_domain, robot_of
 from rcp_kernel.errors import AdapterUnavailable, DeviceTimeout
+from timing import Load, measured_load
 
 VELOCITY = "actuator/velocity"
 MAP: dict[str, Any] = {
@@ -19,7 +20,11 @@ MAP: dict[str, Any] = {
 }
 EXPOSE = ["/odom"]
 CREEP = 0.1  # m/s that a command which slips in between two zeros may give the wheels
-SLIP = 0.4  # m/s: the same, where the machine is so busy that a zero comes late
+SLIP = 0.4  # m/s: the same, where a zero comes late
+LATE = (
+    0.02,
+    0.005,
+)  # m/s that this and the mean may be more for each time that the machine is slower
 WINDOW = 1.5  # s for which they are looked at
 
 
@@ -74,6 +79,18 @@ class Rig:
         """Return the most that the wheels turned in a while from now."""
         await asyncio.sleep(window)  # in which nothing may move
         return self.base.tell("peak", seconds=window)
+
+    async def counters(self) -> None:
+        """See for a while that others hardly drive the wheels."""
+        with measured_load() as load:
+            await asyncio.sleep(WINDOW)  # in which others command them
+        self.slips(load)
+
+    def slips(self, load: Load) -> None:
+        """See that the wheels hardly turned in the while before, though others command them."""
+        peak, mean = (self.base.tell(what, seconds=WINDOW) for what in ("peak", "mean"))
+        assert peak < load.allows(SLIP, LATE[0])
+        assert mean < load.allows(CREEP / 2, LATE[1])
 
 
 @asynccontextmanager

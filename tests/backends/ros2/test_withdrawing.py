@@ -106,13 +106,15 @@ class Served:
     """A server that says what becomes of it."""
 
     def __init__(self) -> None:
-        self.created = self.destroyed = 0
+        self.told: list[str] = []
+        self.over = threading.Event()
 
     def create(self, node: object) -> None:
-        self.created += 1
+        self.told.append("create")
 
     def destroy(self, node: object) -> None:
-        self.destroyed += 1
+        self.told.append("destroy")
+        self.over.set()
 
 
 async def test_offers_whose_thread_is_stuck_do_not_hold_up_the_robot(
@@ -134,7 +136,7 @@ async def test_offers_whose_thread_is_stuck_do_not_hold_up_the_robot(
             await ros.call(lambda: None)  # by which a stop is sent
             ros.post(node.remove, first)
             await ros.call(lambda: None)
-            assert (late.created, first.destroyed) == (0, 0)
+            assert (late.told, first.told) == ([], ["create"])
             monkeypatch.setattr("rcp_ros2.offer_servers._MAKE", 0.01)
             with pytest.raises(DeviceTimeout, match="did not create"):
                 await node.add(never, lambda: None)
@@ -143,5 +145,8 @@ async def test_offers_whose_thread_is_stuck_do_not_hold_up_the_robot(
         finally:
             free.set()
         await adding
-        assert (late.created, first.destroyed) == (1, 1)
-    assert (late.destroyed, never.created - never.destroyed) == (1, 0)
+        for removed in (first, never):
+            assert await asyncio.to_thread(removed.over.wait, BOUND)
+            assert removed.told == ["create", "destroy"]  # what came late is not left over
+        assert late.told == ["create"]
+    assert late.told == ["create", "destroy"]

@@ -16,9 +16,10 @@ import msgspec
 import pytest
 
 from configuration import key, role
-from expiring import brief_key
+from expiring import LIFE, brief_key
 from plugins.a2a.agent import KEY_BETA, agent, caller, data, rpc, sent, text
 from plugins.a2a.receiver import BOUND
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.model import Resource
 from transports.robot import Site, until
 
@@ -321,13 +322,16 @@ async def test_a_stop_of_the_gateway_ends_streams_and_tells_why() -> None:
                 await ending
 
 
-async def test_a_stream_ends_with_the_proof_of_its_client() -> None:
+async def test_a_stream_ends_with_the_proof_of_its_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcp_kernel.sessions.credential_expiry._LOOK", 0.05)
+    time = SteppedClock()
     async with (
-        agent() as site,
+        agent(clock=time.clock) as site,
         caller(site, brief_key(site.server)) as client,
         streamed(client, "POST", "/a2a/message:stream", json=text(GO)) as stream,
     ):
         await stream.until("WORKING")
+        time.adjust(LIFE + 1)
         await stream.rest()
         assert (await client.get("/a2a/tasks")).status_code == 401
 

@@ -15,6 +15,7 @@ from rcp_gateway.testing import eventually
 from rcp_ground_stations.answers import Refusal
 from rcp_ground_stations.config import StationConfig
 from rcp_ground_stations.pilot import Pilot
+from rcp_ground_stations.stops import stop_of
 from rcp_mavlink.dialect import dialect
 from rcp_mavlink.frames import Frame, Framer
 
@@ -32,15 +33,22 @@ class Gateway:
         self.loop = SimpleNamespace(time=lambda: self.now)
         self.asked: list[str] = []
         self.written: list[bytes] = []
+        self.sent: list[float | None] = []
         self.refuses: set[str] = set()
-        self.free = asyncio.Event()
+        self.free, self.controlled, self.asking = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.free.set()
+        self.controlled.set()
 
     async def request(self, _session: Any, request: Any) -> Any:
         body = msgspec.msgpack.decode(request.body)
         what = body.get("do", request.type)
+        if what == "acquire":
+            self.asking.set()
+            await self.controlled.wait()
         if what == "write":
-            await self.free.wait()
+            if stop_of(parsed(body["data"])) is None:
+                await self.free.wait()
+            self.sent.append(request.timestamp)
             self.written.append(body["data"])
         self.asked.append(what)
         error = {"code": "lease_lost"} if what in self.refuses else None
@@ -62,9 +70,15 @@ def frame(message: Any) -> Frame:
     return found
 
 
-def arm() -> Frame:
+def parsed(data: bytes) -> Frame:
+    """Return a frame."""
+    (found,) = Framer(MESSAGES, None).datagram(data)
+    return found
+
+
+def arm(on: float = 1.0) -> Frame:
     """Return a command."""
-    return frame(M.MAVLink_command_long_message(1, 1, 400, 0, 1.0, *[0.0] * 6))
+    return frame(M.MAVLink_command_long_message(1, 1, 400, 0, on, *[0.0] * 6))
 
 
 def ask() -> Frame:
@@ -147,3 +161,53 @@ async def test_a_frame_that_fails_takes_no_other_with_it() -> None:
         pilot.take(broken)
         pilot.take(arm())
         await until(gateway, 2)
+
+
+async def test_a_stop_passes_by_what_waits_and_is_never_too_old() -> None:
+    async with flying() as (pilot, gateway, refused):
+        gateway.free.clear()  # the robot is slow
+        pilot.take(arm())
+        await gateway.asking.wait()
+        for _ in range(600):
+            pilot.take(arm())
+        full = len(refused)
+        assert full
+        pilot.take(arm(0.0))
+        await until(gateway, 2)
+        assert gateway.written == [arm(0.0).data]
+        assert gateway.sent == [None]
+        assert {one.code for one in refused[full:]} == {"cancelled"}
+        gateway.free.set()
+        pilot.take(arm())
+        await until(gateway, 3)
+        assert gateway.written.count(arm(0.0).data) == 1
+
+
+async def test_what_waited_for_control_when_a_stop_came_does_not_follow_it() -> None:
+    async with flying() as (pilot, gateway, refused):
+        gateway.controlled.clear()
+        pilot.take(arm())
+        await gateway.asking.wait()
+        pilot.take(arm(0.0))
+        gateway.controlled.set()
+        await until(gateway, 2)
+        assert gateway.written == [arm(0.0).data]
+        assert [one.code for one in refused] == ["cancelled"]
+
+
+@pytest.mark.parametrize(
+    ("number", "first", "stops"),
+    [
+        (400, 0, True),
+        (400, 1, False),
+        (185, 1, True),
+        (185, 0, False),
+        (193, 0, True),
+        (193, 1, False),
+        (17, 0, True),
+        (22, 0, False),
+    ],
+)
+def test_stops_are_known_by_their_command(number: int, first: float, stops: bool) -> None:  # noqa: FBT001
+    given = frame(M.MAVLink_command_long_message(1, 1, number, 0, first, *[0.0] * 6))
+    assert (stop_of(given) is not None) is stops

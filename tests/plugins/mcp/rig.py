@@ -19,6 +19,7 @@ from rcp_gateway.log import configure
 from rcp_gateway.plugins import Plugins
 from rcp_gateway.server import Prepared, Server, running
 from rcp_gateway.testing import ScriptedRobot
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import Resource
@@ -161,6 +162,7 @@ async def site(
     more: str = "",
     make: Callable[[Host], Robot] = Robot,
     offers: Callable[[ClientApi], Sequence[Offer]] = lambda _client_api: (),
+    clock: Clock = SYSTEM_CLOCK,
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the texts are added to its configuration."""
     made: list[Robot] = []
@@ -190,7 +192,7 @@ async def site(
     prepared = Prepared(
         config, plugins, tables, transports, adapters, active(config, plugins.features, "test")
     )
-    async with running(prepared, recent) as server:
+    async with running(prepared, recent, clock=clock) as server:
         yield Site(server, made)
 
 

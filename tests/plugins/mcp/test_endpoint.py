@@ -11,8 +11,9 @@ from typing import Any
 import httpx
 import pytest
 
-from expiring import brief_key
+from expiring import LIFE, brief_key
 from plugins.mcp.rig import BOUND, EVERY_TOOL, OPERATOR, Caller, Site, caller, site
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.model import Resource
 
 INITIALIZE: dict[str, Any] = {
@@ -321,8 +322,13 @@ async def test_a_session_reads_on_after_a_cut_and_no_other_reads_that(
     assert "1.25" not in await again(other, 2)
 
 
-async def test_a_proof_that_ends_closes_what_it_opened() -> None:
-    async with site() as made, caller(made, brief_key(made.server)) as client:
+async def test_a_proof_that_ends_closes_what_it_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rcp_kernel.sessions.credential_expiry._LOOK", 0.05)
+    time = SteppedClock()
+    async with (
+        site(clock=time.clock) as made,
+        caller(made, brief_key(made.server)) as client,
+    ):
         async with asyncio.timeout(BOUND):
             with suppress(httpx.RemoteProtocolError):
                 body = client.body("subscriptions/listen", {"notifications": {}})
@@ -331,6 +337,7 @@ async def test_a_proof_that_ends_closes_what_it_opened() -> None:
                     "POST", client.url, json=body, headers=headers
                 ) as response:
                     assert response.status_code == 200
+                    time.adjust(LIFE + 1)
                     async for _ in response.aiter_lines():
                         pass
         answer = await client.send("tools/list")

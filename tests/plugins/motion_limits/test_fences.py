@@ -18,6 +18,7 @@ from kernel.fenced import (
     fenced,
     goal,
     reached,
+    reconfigured,
     twist,
 )
 from kernel.world import BOUND
@@ -190,3 +191,64 @@ async def test_a_write_under_way_is_cut_short_when_the_robot_leaves_its_fence() 
             robot.at(11)
             assert await seen.get() == Twist()
         assert code(await agent.final(id_)) in ("cancelled", "out_of_range")
+
+
+LASTING = EDGE.replace('"sensor/pose",', '"sensor/pose", max_age = 60,')
+
+
+async def test_an_action_ends_when_the_position_becomes_unknown(stepped: SteppedClock) -> None:
+    async with fenced(LASTING, stepped.clock) as world:  # the sensor's own deadline is 10 s
+        agent, robot = world.client(AGENT), world.robot
+        robot.at(9)
+        id_ = agent.send(type="execute", path="/action/move", body=goal(5))
+        await robot.started.get()
+        for x in (8, 7):
+            stepped.advance(6)
+            robot.at(x)
+            assert code(await drive(agent, 0.0)) == "completed"
+        stepped.advance(11)
+        reply = await agent.final(id_)
+        assert code(reply) == "cancelled"
+        assert "position is unknown" in reply["error"]["message"]
+        assert (await agent.notice("fence_left"))["envelope"] == "hall"
+
+
+async def test_a_value_in_force_ends_when_the_position_becomes_unknown(
+    stepped: SteppedClock,
+) -> None:
+    edge = EDGE.replace('"sensor/pose",', '"sensor/pose", max_age = 2,')
+    async with fenced(edge, stepped.clock) as world:
+        agent, robot = world.client(AGENT), world.robot
+        robot.at(9)
+        assert code(await drive(agent, 0.5)) == "completed"
+        stepped.advance(2.5)  # the value would be valid for 5 s
+        notice = await agent.notice("fence_left")
+        assert "position is unknown" in notice["message"]
+        [record] = await records(world, what="fence")
+        assert "position is unknown" in record["reason"]
+        watcher = world.client(OPERATOR)
+        id_ = watcher.send(type="subscribe", path="/actuator/drive")
+        await watcher.until(
+            lambda m: m.get("id") == id_ and m["type"] == "update" and m["body"]["linear"]["x"] == 0
+        )
+
+
+async def test_a_position_without_numbers_ends_what_moves() -> None:
+    async with fenced(EDGE) as world:
+        agent, robot = world.client(AGENT), world.robot
+        robot.at(9)
+        id_ = agent.send(type="execute", path="/action/move", body=goal(5))
+        await robot.started.get()
+        robot.at(float("nan"))
+        assert code(await agent.final(id_)) == "cancelled"
+
+
+async def test_a_robot_that_moves_ends_when_a_fence_is_added_without_a_position(
+    stepped: SteppedClock,
+) -> None:
+    async with fenced("", stepped.clock) as world:
+        agent, robot = world.client(AGENT), world.robot
+        id_ = agent.send(type="execute", path="/action/move", body=goal(5))
+        await robot.started.get()
+        await reconfigured(world, EDGE)
+        assert code(await agent.final(id_)) == "cancelled"

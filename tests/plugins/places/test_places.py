@@ -268,6 +268,8 @@ async def test_their_number_is_limited() -> None:
         await edit(alfred, name="a", **where)
         assert (await edit(alfred, name="b", **where))["error"]["code"] == "queue_full"
         assert (await edit(alfred, name="a", **where))["status"] == "completed"
+        # One tenant's places take no room of another's.
+        assert (await edit(site.client(BETA), name="b", **where))["status"] == "completed"
 
 
 def test_a_place_of_the_configuration_needs_a_position() -> None:

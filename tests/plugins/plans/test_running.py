@@ -228,7 +228,10 @@ async def test_cancel_stops_a_step_whose_first_reply_waits_for_its_record(tmp_pa
         assert world.robot.stopped.qsize() == 1
 
 
-async def test_a_long_step_whose_turn_comes_after_its_plan_was_cancelled_does_not_go_on() -> None:
+@pytest.mark.parametrize("what", ["execute", "write"])
+async def test_a_long_step_whose_turn_comes_after_its_plan_was_cancelled_does_not_go_on(
+    what: str,
+) -> None:
     async with world_of() as world:
         client, admin = world.client(), world.client("admin-admin-admin")
         spoken, turns = list[str](), world.server.client_api.turns
@@ -247,7 +250,10 @@ async def test_a_long_step_whose_turn_comes_after_its_plan_was_cancelled_does_no
             return "completed" in [one["status"] for one in reply["body"]]
 
         world.robot.behaviours["service/echo"] = speak
-        id_ = send(client, go(2.0), echo("a" * 60_000))
+        world.robot.add(Resource(name="param/text", description="A text.", value=str))
+        text = "a" * 60_000
+        write = step("write", "/param/text", text)
+        id_ = send(client, go(2.0), echo(text) if what == "execute" else write)
         await begun(world)
         before, meanwhile = ["busy"], ["busy"]
         turns.run(owner, others(before))
@@ -264,6 +270,7 @@ async def test_a_long_step_whose_turn_comes_after_its_plan_was_cancelled_does_no
         assert reply["status"] == "cancelled", reply
         await asyncio.wait_for(turns.finish(owner, others([])), BOUND)
         assert not spoken
+        assert not world.robot.writes
         assert not world.server.gateway.journal.running
 
 

@@ -6,12 +6,12 @@ import base64
 import json
 import struct
 import zlib
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Generator
 from typing import Any
 
 import pytest
 
-from plugins.rosbridge.rig import OPEN, ROVER, Page, Site, page, site
+from plugins.rosbridge.rig import OPEN, OPERATOR, ROVER, Page, Site, page, site
 
 FORWARD = {"linear": {"x": 0.4, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
 
@@ -205,6 +205,27 @@ async def test_a_goal_is_cancelled(client: Page) -> None:
     await client.send(op="cancel_action_goal", id="g2", action="/navigate_to_pose")
     result = await client.op("action_result", id="g2")
     assert result["status"] == 5
+
+
+async def test_a_goal_cancelled_before_it_could_be_sent_is_never_sent() -> None:
+    async with site(ROVER, OPEN) as gateway, page(gateway) as client:
+        api, busy = gateway.served.server.client_api, ["busy"]
+
+        def others() -> Generator[None]:
+            while busy:
+                yield
+
+        api.turns.run(api.authenticate(None).identity, others())
+        goal = {"pose": {"pose": {"position": {"x": 8.0, "y": 0.0}}}}
+        await client.send(op="send_action_goal", id="g5", action="/navigate_to_pose", args=goal)
+        await client.send(op="cancel_action_goal", id="g5", action="/navigate_to_pose")
+        await client.send(op="nonsense", id="both have come")
+        await client.status("nonsense")
+        busy.clear()
+        result = await client.op("action_result", id="g5")
+        assert (result["status"], result["result"]) == (5, True)
+        reader = gateway.served.client(OPERATOR)
+        assert (await reader.request("read", "/system/commands"))["body"] == []
 
 
 async def test_a_goal_that_is_refused_ends_at_once(client: Page) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from configuration import table
 from plugins.triggers.gateway import (
     ADMIN,
     ALARMS,
@@ -17,8 +18,11 @@ from plugins.triggers.gateway import (
     TRIGGERS,
     Rig,
     gateway,
+    webhook,
 )
 from rcp_gateway.testing import SteppedClock
+from rcp_triggers.alarms import Alarms
+from rcp_triggers.outbox import Outbox
 
 pytestmark = pytest.mark.anyio
 
@@ -153,6 +157,57 @@ async def test_a_command_that_is_refused_is_told() -> None:
         assert ended["outcome"] == "estop_active"
         assert (await rig.on_robot())["outcome"] == "estop_active"
         assert rig.robot().ran == []
+
+
+async def test_what_its_command_was_answered_is_told_to_its_maker_alone() -> None:
+    async with gateway() as rig:
+        await rig.follow()
+        await rig.made(execute={"path": "/action/dock", "value": 3.0})
+        await rig.admin.request("execute", "/system/estop", body={"reason": "a secret reason"})
+        rig.robot().measure("sensor/battery", 10.0)
+        ended = await rig.happened("command")
+        assert ended["outcome"] == "estop_active"
+        assert "secret" not in str(ended)
+        own = (await rig.row(client=rig.operator))["robots"][0]
+        assert "a secret reason" in own["detail"]
+        assert "secret" not in str(await rig.row())
+        tested = await rig.admin.request("execute", TRIGGERS, body={"test": "low"})
+        assert tested["body"]["robots"][0]["refused"] == "estop_active"
+
+
+@pytest.mark.parametrize("part", ["alarm", "outbox"])
+async def test_its_command_goes_even_if_the_rest_of_it_fails(
+    part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise OSError(28, "no space left")
+
+    if part == "alarm":
+        monkeypatch.setattr(Alarms, "fired", broken)
+    else:
+        monkeypatch.setattr(Outbox, "add", broken)
+    target = table("features.triggers.targets.hook", **webhook("http://127.0.0.1:9/"))
+    async with gateway(target) as rig:
+        await rig.follow()
+        stop = {"path": "/system/estop", "value": {}}
+        await rig.made(execute=stop, alarm=True, notify=["hook"])
+        rig.robot().measure("sensor/battery", 10.0)
+        assert (await rig.happened("command"))["outcome"] == "completed"
+
+
+async def test_the_name_of_a_hidden_trigger_is_free() -> None:
+    rules = table(
+        "features.triggers.rules.low", robot="/tenant/beta", when="sensor.battery < 20", alarm=True
+    )
+    async with gateway(rules) as rig:
+        assert [one["trigger"] for one in (await rig.admin.request("read", TRIGGERS))["body"]] == [
+            "low"
+        ]
+        await rig.made(alarm=True)
+        removal = {"remove": "low"}
+        assert (await rig.operator.request("execute", TRIGGERS, body=removal))[
+            "status"
+        ] == "completed"
 
 
 async def test_it_may_stop_a_robot_but_never_reset_the_stop() -> None:
