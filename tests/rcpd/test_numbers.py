@@ -66,9 +66,8 @@ def test_what_no_parser_reads_is_a_fault_of_its_line(value: str, says: str) -> N
 
 
 VALUES = (
-    *("inf", "-inf", "nan", "1e300", "99999999999999999999", "true", "[]", "{}", "[{}]", "[[1]]"),
-    *("07:32:00", "1979-05-27", '""', '"a\\u0000b"', '"\\u001b[31m"', '"~nobody-of-this-name/x"'),
-    *('"${file:a\\u0000b}"', '"${ABSENT}"', '"/tenant/zz/**"', f'"{"a" * 70_000}"'),
+    *("inf", "nan", "99999999999999999999", "true", "[[1]]", "{}", "07:32:00"),
+    *('"a\\u0000b"', '"~nobody-of-this-name/x"', '"${file:a\\u0000b}"', '"/tenant/zz/**"'),
 )
 WHOLE = f"""\
 name = "a"
