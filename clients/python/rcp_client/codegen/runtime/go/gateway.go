@@ -122,7 +122,7 @@ func decoded(response *http.Response) (reply, error) {
 // done is the answer to what ends with it.
 func done(found reply, err error) (reply, error) {
 	if err == nil && found.Status != "completed" {
-		err = fmt.Errorf("it is %s, and nothing has confirmed it", found.Status)
+		err = fmt.Errorf("the gateway answered `%s`, not `completed`", found.Status)
 	}
 	return found, err
 }

@@ -158,7 +158,7 @@ fn decoded(mut reply: Reply) -> Result<Json, Error> {
 fn done(found: Json) -> Result<Json, Error> {
     match found.get("status").as_text() {
         "completed" => Ok(found),
-        status => Err(Error::local("connection_lost", format!("it is {}, and nothing has confirmed it", status))),
+        status => Err(Error::local("bad_response", format!("the gateway answered `{}`, not `completed`", status))),
     }
 }
 
