@@ -203,7 +203,9 @@ class Diagnosis:
                 with self._survey.checking(place, backend.options):
                     kind.check(msgspec.convert(left, kind.config, strict=True))
             if left is not FAULTY:
-                whole = not self._survey.faulty(place)  # else a default may stand for what is at fault
+                whole = not self._survey.faulty(
+                    place
+                )  # else a default may stand for what is at fault
                 table = msgspec.convert(left, kind.config, strict=True)
                 self._note_lacking(kind, table, place, backend.options)
                 if whole:
