@@ -71,8 +71,8 @@ site: $(TEST)
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 release: $(TEST)
-	$(BIN)/python packaging/build.py
-	$(BIN)/python packaging/verify.py
+	$(BIN)/python packaging/build.py $(ARGS)
+	$(BIN)/python packaging/verify.py $(ARGS)
 
 clean:
 	rm -rf .venv .pytest_cache .ruff_cache .hypothesis .import_linter_cache build dist

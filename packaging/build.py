@@ -1,8 +1,9 @@
 """Build what is released into `dist/`, from a clean tree: nothing is uploaded.
 
-    python packaging/build.py [wheels] [sdist] [npm] [deb] [container] [sbom] [docs]
+    python packaging/build.py [--partial] [wheels] [sdist] [npm] [deb] [container] [sbom] [docs]
 
-Without names, everything that this machine can build, into an empty folder; what it cannot is told. Files are the same for the same commit, Python and constraints: times are those of the commit.
+Without names, everything, into an empty folder. Where the container's base is missing, the rest is built all the same, and the exit code is 1 unless `--partial` is
+given; a machine without a builder of containers builds none. Files are the same for the same commit, Python and constraints: times are those of the commit.
 `SHA256SUMS` lists them.
 """
 
@@ -32,6 +33,8 @@ EXTRAS = "a2a,can,conditions,console,dashboard,fast,fleet,jwt,mavlink,mcp,record
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 _CONTAINERFILE = "packaging/container/Containerfile"
 _BUILDERS = ("podman", "buildah", "docker")
+_PULL = 900.0  # s
+_LONGEST = 3600.0  # s that any program may take
 
 
 def run(*command: str | Path, folder: Path = ROOT, **environment: str) -> str:
@@ -43,6 +46,7 @@ def run(*command: str | Path, folder: Path = ROOT, **environment: str) -> str:
         check=True,
         stdout=subprocess.PIPE,
         text=True,
+        timeout=_LONGEST,
     )
     return done.stdout
 
@@ -192,24 +196,36 @@ def _builder() -> str | None:
     return next((name for name in _BUILDERS if shutil.which(name)), None)
 
 
-def _no_container() -> str | None:
-    """Return why no image can be built here; None: it can."""
-    builder = _builder()
-    if builder is None:
-        return f"none of {', '.join(_BUILDERS)} is installed"
+def _no_base(builder: str) -> str | None:
+    """Return why there is no base to build an image on; None: there is one."""
     if os.environ.get("RCP_BASE"):
         return None
     base = re.search(r"^ARG BASE=(\S+)", (ROOT / _CONTAINERFILE).read_text(), re.MULTILINE)
     assert base is not None
-    words = [builder, "pull", "--quiet", base[1]]
-    done = subprocess.run(words, check=False, capture_output=True, text=True)  # noqa: S603
-    if done.returncode == 0:
+    # The registry may not be reached, or allow no more today, for what is here already.
+    inspect = ("inspect", "--type", "image") if builder == "buildah" else ("image", "inspect")
+    if _fault_of(builder, *inspect, base[1]) is None:
         return None
-    reason = (done.stderr.strip().splitlines() or ["unknown"])[-1]
+    reason = _fault_of(builder, "pull", "--quiet", base[1])
+    if reason is None:
+        return None
     return (
         f"{base[1]} cannot be pulled ({reason}); with RCP_BASE=NAME another base is taken, such as "
         "one of Debian's packages, which packaging/container/base makes"
     )
+
+
+def _fault_of(*command: str) -> str | None:
+    """Run a program; return the last line of why it failed."""
+    try:
+        done = subprocess.run(  # noqa: S603
+            command, check=False, capture_output=True, text=True, timeout=_PULL
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer within {_PULL:g} s"
+    if done.returncode == 0:
+        return None
+    return (done.stderr.strip().splitlines() or ["unknown"])[-1]
 
 
 def container() -> None:
@@ -314,20 +330,26 @@ def main() -> None:
     """Build what is named."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("steps", nargs="*", metavar="STEP", help=", ".join(STEPS))
-    steps = parser.parse_args().steps
+    parser.add_argument("--partial", action="store_true", help="a release may lack its container")
+    given = parser.parse_args()
+    steps, hindrance = list[str](given.steps), None
     if unknown := [step for step in steps if step not in STEPS]:
         parser.error(f"unknown: {', '.join(unknown)}")
     if not steps:
         shutil.rmtree(DIST, ignore_errors=True)
-        hindrance = _no_container()
-        steps = [step for step in STEPS if step != "container" or hindrance is None]
-        if hindrance is not None:
-            print(f"=== no container: {hindrance}", flush=True)
+        builder = _builder()
+        hindrance = None if builder is None else _no_base(builder)
+        steps = [step for step in STEPS if step != "container" or (builder and not hindrance)]
+        if "container" not in steps:
+            why = hindrance or f"none of {', '.join(_BUILDERS)} is installed"
+            print(f"=== no container: {why}", flush=True)
     DIST.mkdir(exist_ok=True)
     for step in steps:
         print(f"=== {step}", flush=True)
         STEPS[step]()
     sums()
+    if hindrance is not None and not given.partial:
+        raise SystemExit("this release has no container: --partial allows that")
 
 
 if __name__ == "__main__":

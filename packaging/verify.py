@@ -1,9 +1,9 @@
 """Install each way that `dist/` offers, and drive a robot with what was installed.
 
-    python packaging/verify.py [wheels] [pipx] [uv] [sdist] [npm] [deb] [container] [ros2] [sbom] [docs]
+    python packaging/verify.py [--partial] [wheels] [pipx] [uv] [sdist] [npm] [deb] [container] [ros2] [sbom] [docs]
 
 Prints for each way the seconds from nothing to a robot that has driven, and those of CPU, which other programs change less. A way for which this machine has no tool is told, and
-is a failure if it was named. The Debian package is installed in a bare Debian system: a folder given by `RCP_CHROOT`, made
+is a failure if it was named. So is an image that is not in `dist/` although this machine has the builder, unless `--partial` is given. The Debian package is installed in a bare Debian system: a folder given by `RCP_CHROOT`, made
 by debootstrap with python3, adduser and ca-certificates. `ros2` needs colcon (colcon-core, colcon-ros, colcon-bash); what its launch
 file starts is started without `ros2 launch`, for which there are no wheels.
 """
@@ -59,17 +59,33 @@ rclpy.spin(node)
 _GOAL = '{"position": {"x": 0.5, "y": 0}}'
 
 
+_LONGEST = 1800.0  # s that any program may take
+
+
 class Missing(Exception):
     """A tool that this machine does not have."""
+
+
+class Absent(Missing):
+    """A part of the release that was not built, although this machine could have."""
 
 
 def run(*command: str | Path, **environment: str) -> str:
     """Run a program outside of the tree, and return what it prints."""
     words = [str(part) for part in command]
     kept = {name: value for name, value in os.environ.items() if not name.startswith("RCP_")}
-    done = subprocess.run(  # noqa: S603 - programs of this script
-        words, cwd="/", env=kept | environment, check=False, capture_output=True, text=True
-    )
+    try:
+        done = subprocess.run(  # noqa: S603 - programs of this script
+            words,
+            cwd="/",
+            env=kept | environment,
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST,
+        )
+    except subprocess.TimeoutExpired as error:
+        raise SystemExit(f"{' '.join(words)}: has not ended after {error.timeout:g} s") from None
     if done.returncode != 0:
         raise SystemExit(f"{' '.join(words)}: {done.stdout}{done.stderr}")
     return done.stdout
@@ -257,13 +273,13 @@ def deb(_scratch: Path) -> None:
 
 def container(_scratch: Path) -> None:
     """Start the image in `dist/`, or that of the name RCP_IMAGE, and drive within it."""
-    image = os.environ.get("RCP_IMAGE")
+    program, image = tool("buildah"), os.environ.get("RCP_IMAGE")
     if image is None:
         archive = DIST / f"rcp-gateway-{VERSION}.oci.tar"
         if not archive.exists():
-            raise Missing(archive.name)
+            raise Absent(archive.name)
         image = f"oci-archive:{archive}"
-    buildah = (tool("buildah"), *os.environ.get("RCP_BUILDAH", "").split())
+    buildah = (program, *os.environ.get("RCP_BUILDAH", "").split())
     name, port = run(*buildah, "from", image).strip(), free_port()
     with cleanup(*buildah, "rm", name):
         isolation = ("--isolation", os.environ.get("BUILDAH_ISOLATION", "chroot"))
@@ -356,7 +372,9 @@ def main() -> None:
     """Try what is named, or everything."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("ways", nargs="*", metavar="WAY", help=", ".join(WAYS))
-    named = parser.parse_args().ways
+    parser.add_argument("--partial", action="store_true", help="a release may lack its container")
+    given = parser.parse_args()
+    named, absent = list[str](given.ways), list[str]()
     if unknown := [way for way in named if way not in WAYS]:
         parser.error(f"unknown: {', '.join(unknown)}")
     for way in named or WAYS:
@@ -367,10 +385,13 @@ def main() -> None:
         except Missing as error:
             if named:
                 raise SystemExit(f"{way}: needs {error}") from None
+            absent += [str(error)] if isinstance(error, Absent) else []
             print(f"{way:<10} not tried: needs {error}", flush=True)
         else:
             seconds, cpu = time.monotonic() - began, _cpu() - before
             print(f"{way:<10} {seconds:6.1f} s, {cpu:5.1f} s of CPU", flush=True)
+    if absent and not given.partial:
+        raise SystemExit(f"this release has no {', '.join(absent)}: --partial allows that")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from glob import has_magic
 from pathlib import Path
@@ -36,7 +37,7 @@ def included(raw: dict[str, Any], source: str) -> Iterator[Part]:
             continue  # the type of the key says so
         folder = Path(source).parent
         for path in _named(name, folder):
-            if path.is_dir():
+            if os.path.isdir(path):  # noqa: PTH112 - it raises where one may not look
                 raise ConfigError(f"`include`: {path} is a folder: write '{path / '*.toml'}'")
             if path.absolute() == Path(source).absolute():
                 raise ConfigError(f"`include`: {path} is this file itself: take it out")

@@ -7,13 +7,14 @@ import re
 import tomllib
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rcp_protocol.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcp_toml.document import document
 from rcp_toml.named_file import read_named
 
-__all__ = ["Secret", "Withheld", "files_of", "is_dear", "secrets_of", "substituted"]
+__all__ = ["NamedFile", "Secret", "Withheld", "files_of", "is_dear", "secrets_of", "substituted"]
 
 _VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)(?::-([^{}]*))?\}")
 _FILE = re.compile(r"\$\{file:((?:[^${}]|\$\{[A-Za-z_][A-Za-z0-9_]*\})+)\}")
@@ -21,6 +22,14 @@ _FILE = re.compile(r"\$\{file:((?:[^${}]|\$\{[A-Za-z_][A-Za-z0-9_]*\})+)\}")
 _LARGEST = 65_536  # bytes
 _DEAR = re.compile(r"(key|keys|sha256|token|secret|password|passphrase)(\[\d*\.*\])?$")
 """Keys of tables, of the kernel or plugins, whose values are secrets by name."""
+
+
+class NamedFile(NamedTuple):
+    """A file that a string is read from."""
+
+    name: str
+    """As it is written, with its variables."""
+    path: Path
 
 
 class Secret(str):
@@ -62,13 +71,16 @@ def substituted(text: str, folder: Path) -> str:
     return text if fresh == text else Secret(fresh)
 
 
-def files_of(text: str, folder: Path) -> list[Path]:
+def files_of(text: str, folder: Path) -> list[NamedFile]:
     """Return the files that a string is read from.
 
     :raises ConfigError: a variable in the name of one is not set.
     """
-    found = (_with_variables(one[1]) for one in _FILE.finditer(text))
-    return [folder / Path(name).expanduser() for name in found]
+    return [
+        # Unlike Path.expanduser(), it leaves the `~` of an unknown user as it is.
+        NamedFile(one[1], folder / os.path.expanduser(_with_variables(one[1])))  # noqa: PTH111
+        for one in _FILE.finditer(text)
+    ]
 
 
 def _with_variables(text: str) -> str:
@@ -111,5 +123,5 @@ def secrets_of(text: str, folder: Path) -> list[str]:
                 found.append(node)
 
     with suppress(tomllib.TOMLDecodeError):
-        note(tomllib.loads(text), "")
+        note(document(text), "")
     return [value for value in found if value]

@@ -80,8 +80,7 @@ class Diagnosis:
     def warnings(self) -> list[Finding]:
         """What may be meant, although it is suspicious, or does less for lack of a library."""
         survey = self._survey
-        doubts = suspicions(survey.config, survey.raw, survey.secret_files)
-        found = [survey.finding(place, text) for place, text in doubts]
+        found = [survey.finding(place, text) for place, text in suspicions(survey)]
         found += [*self._unheard(), *self._lesser]
         return sorted(found, key=lambda one: (one.file or "", one.line))
 
@@ -204,9 +203,13 @@ class Diagnosis:
                 with self._survey.checking(place, backend.options):
                     kind.check(msgspec.convert(left, kind.config, strict=True))
             if left is not FAULTY:
+                whole = not self._survey.faulty(
+                    place
+                )  # else a default may stand for what is at fault
                 table = msgspec.convert(left, kind.config, strict=True)
                 self._note_lacking(kind, table, place, backend.options)
-                self._note_shared(kind, table, index, held)
+                if whole:
+                    self._note_shared(kind, table, index, held)
 
     def _note_lacking(
         self, kind: BackendKind | AdapterKind, table: Any, place: Place, raw: Any

@@ -16,7 +16,6 @@ from rcpd.words import choices, expected, members, nearest, split_annotated
 
 __all__ = ["FAULTY", "Collector", "Fault", "place_in"]
 
-_LARGEST = 2**63 - 1  # what a TOML parser has to read; nan and infinity are outside
 FAULTY: Any = object()
 """Stands for a node of which nothing is left."""
 
@@ -85,10 +84,6 @@ class Collector:
         bare = _branch(node, type_)
         if bare is Any:
             return node
-        if isinstance(node, (int, float)) and not -_LARGEST <= node <= _LARGEST:
-            what = "is too large" if abs(node) > _LARGEST else "is no number"
-            self.add(place, f"{self._show(place, node)} {what}: write {expected(type_)}")
-            return FAULTY
         before = len(self.faults)
         origin = get_origin(bare) or bare
         if is_map(node) and isinstance(bare, type) and issubclass(bare, msgspec.Struct):

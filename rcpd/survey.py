@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import date, time
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,9 @@ from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
 from rcp_toml.includes import included, merge
+from rcp_toml.numbers import unusable
 from rcp_toml.positions import Place, line_of, positions
-from rcp_toml.variables import Secret, files_of, is_dear, secrets_of, substituted
+from rcp_toml.variables import NamedFile, Secret, files_of, is_dear, secrets_of, substituted
 from rcpd.faults import FAULTY, Collector, Fault, place_in
 from rcpd.syntax import read_toml
 from rcpd.words import nearest
@@ -68,8 +69,8 @@ class Survey:
         """What must not be shown of the file, and of those that it includes."""
         self._broken = bool(document.faults)
         self._lines = positions(document.text) if self.readable else {}
-        self.secret_files: dict[Place, Path] = {}
-        """The files that `${file:}` names, by the strings that do."""
+        self.secret_files: list[tuple[Place, NamedFile]] = []
+        """The files that `${file:}` names, with the places of the strings that do."""
         self._files: dict[Place, str] = {}
         """The included files of nodes that are not of the file itself."""
         for line, message in document.faults:
@@ -125,6 +126,10 @@ class Survey:
         """Return what is to be told of a place."""
         line = line_of(place, self._lines)
         return Finding(line, *self._named(place), message, self._file(place))
+
+    def is_included(self, place: Place) -> bool:
+        """Return whether a node is of an included file."""
+        return self._file(place) is not None
 
     def _file(self, place: Place) -> str | None:
         """Return the included file of a node, or of the nearest one around it that has a line."""
@@ -197,20 +202,28 @@ class Survey:
         return text if self._show_values and len(text) <= _SHOWN else "the value"
 
     def _resolved(self, node: Any, place: Place) -> Any:
-        """Replace the variables of all strings; one that cannot be is taken out."""
+        """Replace the variables of all strings; one that cannot be, and a number that none is, are taken out."""
         if is_map(node):
             return {key: self._resolved(item, (*place, key)) for key, item in node.items()}
         if is_list(node):
             return [self._resolved(item, (*place, i)) for i, item in enumerate(node)]
         if not isinstance(node, str):
-            return node
+            return self._number(node, place)
         folder = Path(self._file(place) or self._source).parent
         try:
-            self.secret_files.update((place, path) for path in files_of(node, folder))
+            self.secret_files += ((place, one) for one in files_of(node, folder))
             return substituted(node, folder)
         except ConfigError as error:
             self.collector.add(place, str(error))
             return FAULTY
+
+    def _number(self, node: Any, place: Place) -> Any:
+        """Return a value that is no text, unless it is a number that no key can have."""
+        why = unusable(node)
+        if why is None:
+            return node
+        self.collector.add(place, f"{self._shown(place, node)} {why}")
+        return FAULTY
 
     def _read(self) -> GatewayConfig:
         rest = {k: v for k, v in self.raw.items() if k not in ("backends", "transports", "plugins")}
@@ -383,7 +396,9 @@ class Survey:
 
 def _is_secret(value: str) -> bool:
     """Return whether a value must not be in a message; the path of a key's file may."""
-    is_path = "/" in value and Path(value).expanduser().parent.is_dir()
+    is_path = False
+    with suppress(OSError, RuntimeError):  # where one may not look, the `~` of an unknown user
+        is_path = "/" in value and Path(value).expanduser().parent.is_dir()
     return len(value) >= _DEAR_LENGTH and not is_path
 
 

@@ -6,6 +6,8 @@ import re
 import tomllib
 from typing import Any, NamedTuple
 
+from rcp_toml.document import document
+
 __all__ = ["Document", "read_toml"]
 
 _MOST = 50
@@ -29,6 +31,8 @@ _MENDS = {
     "Invalid statement": "write key = value, [table] or # comment",
     "Unclosed array": "close the list with ]",
     "Unclosed inline": "close the table with }",
+    "Too many digits": "write a whole number of at most 64 bits",
+    "Lists or tables": "write fewer [ ] and { } in each other",
     "Duplicate inline": "the key is there already: remove one of the two",
 }
 
@@ -68,11 +72,9 @@ def read_toml(text: str) -> Document:
     while True:
         text = "\n".join(lines)
         try:
-            return Document(tomllib.loads(text), text, faults)
+            return Document(document(text), text, faults)
         except tomllib.TOMLDecodeError as error:
             number, message = _explain(str(error), lines)
-        except RecursionError:
-            number, message = 1, "lists or tables are nested too deep"
         faults.append((number, message))
         line = lines[number - 1]
         if len(faults) == _MOST or _PAIR.match(line) is None:

@@ -144,7 +144,7 @@ BROKEN = (
     # Values of another kind
     Broken("name = 2026-01-31 #!\n", "the date 2026-01-31", 'name = "2026-01-31"'),
     Broken("[limits]\nmessage = 99999999999999999999999999 #!\n", "too large", "message = 4096"),
-    Broken("[limits]\nheartbeat = inf #!\n", "too large", "heartbeat = 1"),
+    Broken("[limits]\nheartbeat = inf #!\n", "at most 1000000000", "heartbeat = 1"),
     Broken("[limits]\nheartbeat = nan #!\n", "no number", "heartbeat = 1"),
     Broken(SIM + 'rate = "50" #!\n', "a number", "rate = 50"),
     Broken(SIM.replace('"alpha"', '"plant/north" #!'), "letters, digits", 'tenant = "alpha"'),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import sqlite3
 from contextlib import suppress
 from functools import partial
@@ -90,7 +91,7 @@ class Retention:
         Times need not rise: a robot without a battery starts in 1970, among records of today.
         """
         days = self.config.keep_days
-        if days is None:
+        if days is None or math.isinf(days):
             return 0
         gone, limit = 0, now - int(days * _DAY * (1 + _SLACK))
         rows = base.execute(

@@ -42,7 +42,7 @@ class RecorderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Space of all recordings, damaged ones too; the oldest are deleted first, pinned ones never."""
     free_mb: Annotated[float, Meta(ge=0)] = 256.0
     """Recording stops while less of the disk is free."""
-    queue_mb: Annotated[float, Meta(gt=0)] = 32.0
+    queue_mb: Annotated[float, Meta(gt=0, le=1e9)] = 32.0
     """Memory for what waits to be written; what does not fit is dropped and counted."""
     sample_kb: Annotated[float, Meta(gt=0)] = 1024.0
     """Longer samples are not recorded, but counted."""

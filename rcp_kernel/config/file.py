@@ -32,8 +32,10 @@ from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
 from rcp_protocol.plain import is_list, is_map
 from rcp_protocol.validation import fault_of
+from rcp_toml.document import document
 from rcp_toml.encoding import NotUtf8, decoded
 from rcp_toml.includes import included, merge
+from rcp_toml.numbers import unusable
 from rcp_toml.variables import Secret, Withheld, is_dear, substituted
 
 __all__ = [
@@ -240,7 +242,7 @@ def parse(text: str, source: str, *, show_values: bool = True) -> GatewayConfig:
 def _read(text: str, source: str, literal: Callable[[str], str]) -> dict[str, Any]:
     """Read one file, with its variables replaced."""
     try:
-        raw = tomllib.loads(text)
+        raw = document(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{source}: not TOML: {error}") from None
     return _with_secrets(raw, source, "", literal)
@@ -288,6 +290,8 @@ def _with_secrets(node: Any, source: str, where: str, literal: Callable[[str], s
             _with_secrets(item, source, f"{where}[{i}]", literal) for i, item in enumerate(node)
         ]
     if not isinstance(node, str):
+        if (why := unusable(node)) is not None:
+            raise ConfigError(f"{source}: {where} {why}")
         return node
 
     try:

@@ -37,11 +37,11 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Envelopes in one `batch`."""
     sessions: _Count = 2000
     """Concurrent sessions, including those of disconnected clients."""
-    session_ttl: Annotated[float, Meta(ge=0)] = 60.0
+    session_ttl: Annotated[float, Meta(ge=0, le=1e9)] = 60.0
     """How long the session of a disconnected client is kept."""
     failed_logins: _Count = 30
     """Invalid tokens per minute and address, before further ones are `rate_limited`."""
-    heartbeat: Annotated[float, Meta(gt=0)] = 15.0
+    heartbeat: Annotated[float, Meta(gt=0, le=1e9)] = 15.0
     """Between pings of an idle connection; two unanswered ones close it."""
     deadline: Annotated[float, Meta(gt=0, le=3600)] = 10.0
     """Of a request without one."""

@@ -19,9 +19,9 @@ class Safety(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     lease_required: tuple[str, ...] = ()
     """Patterns of paths that accept commands only under a lease."""
-    lease_ttl: Annotated[float, Meta(gt=0)] = 10.0
+    lease_ttl: Annotated[float, Meta(gt=0, le=1e9)] = 10.0
     """Default duration of a lease."""
-    lease_ttl_max: Annotated[float, Meta(gt=0)] = 300.0
+    lease_ttl_max: Annotated[float, Meta(gt=0, le=1e9)] = 300.0
     """Maximum duration of a lease."""
     approval_ttl: Annotated[float, Meta(gt=0, le=86_400)] = 300.0
     """Time in s for which an approval can be decided and used."""

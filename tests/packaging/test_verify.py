@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -41,29 +42,117 @@ def test_what_is_made_of_wheels_says_when_there_are_none(
         build.STEPS[step]()
 
 
-def test_a_base_image_that_cannot_be_pulled_leaves_out_the_container_alone(
-    verify: ModuleType,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+@pytest.fixture
+def made(verify: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+    """The steps that a build without names took, with the builders of `tmp_path` alone."""
     build, made = sys.modules["build"], list[str]()
-    podman = tmp_path / "podman"
-    podman.write_text("#!/bin/sh\necho 'no such host' >&2\nexit 125\n")
-    podman.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("RCP_BASE", raising=False)
     monkeypatch.setattr(build, "DIST", tmp_path / "dist")
     monkeypatch.setattr(build, "STEPS", {n: lambda n=n: made.append(n) for n in build.STEPS})
     monkeypatch.setattr(sys, "argv", ["build.py"])
-    build.main()
+    return made
+
+
+def builder(folder: Path, name: str, script: str) -> None:
+    (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+    (folder / name).chmod(0o755)
+
+
+def test_a_base_image_that_cannot_be_pulled_leaves_out_the_container_alone(
+    made: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    build = sys.modules["build"]
+    builder(tmp_path, "podman", "echo 'no such host' >&2; exit 125")
+    with pytest.raises(SystemExit, match="no container: --partial"):
+        build.main()
     assert made == [step for step in build.STEPS if step != "container"]
     told = capsys.readouterr().out
     assert "no container: docker.io/library/python" in told
     assert "(no such host); with RCP_BASE=NAME" in told
+    assert (tmp_path / "dist" / "SHA256SUMS").exists()
+    monkeypatch.setattr(sys, "argv", ["build.py", "--partial"])
+    build.main()
+    assert "container" not in made
     monkeypatch.setenv("RCP_BASE", "localhost/base")
     build.main()
     assert "container" in made
+
+
+@pytest.mark.parametrize(
+    ("name", "asks"),
+    [
+        ("podman", "image inspect"),
+        ("docker", "image inspect"),
+        ("buildah", "inspect --type image"),
+    ],
+)
+def test_a_base_image_that_is_here_is_not_pulled(
+    made: list[str], tmp_path: Path, name: str, asks: str
+) -> None:
+    builder(tmp_path, name, f'case "$*" in "{asks} docker.io/"*) ;; *) exit 1 ;; esac')
+    sys.modules["build"].main()
+    assert "container" in made
+
+
+def test_a_registry_that_does_not_answer_is_given_up(
+    made: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    build = sys.modules["build"]
+    monkeypatch.setattr(build, "_PULL", 0.2)
+    builder(tmp_path, "podman", 'case "$1" in pull) read line < fifo ;; *) exit 1 ;; esac')
+    os.mkfifo(tmp_path / "fifo")  # nobody writes to it
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="--partial"):
+        build.main()
+    assert "no answer within 0.2 s" in capsys.readouterr().out
+
+
+def test_a_machine_without_a_builder_builds_the_rest(made: list[str]) -> None:
+    sys.modules["build"].main()
+    assert made == [step for step in sys.modules["build"].STEPS if step != "container"]
+
+
+def test_an_image_that_a_release_lacks_is_a_failure_at_the_end(
+    verify: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    tried: list[str] = []
+    monkeypatch.delenv("RCP_IMAGE", raising=False)
+    monkeypatch.setattr(verify, "DIST", tmp_path)
+    monkeypatch.setattr(verify, "tool", lambda name: name)
+    ways = {"container": verify.container, "docs": lambda _: tried.append("docs")}
+    monkeypatch.setattr(verify, "WAYS", ways)
+    monkeypatch.setattr(sys, "argv", ["verify.py"])
+    with pytest.raises(SystemExit, match=r"no rcp-gateway-.*\.oci\.tar: --partial"):
+        verify.main()
+    assert tried == ["docs"]
+    monkeypatch.setattr(sys, "argv", ["verify.py", "--partial"])
+    verify.main()
+
+
+def test_a_program_that_does_not_end_is_ended(
+    verify: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify, "_LONGEST", 0.2)
+    with pytest.raises(SystemExit, match=r"has not ended after 0\.2 s"):
+        verify.run(sys.executable, "-c", "import signal; signal.pause()")
+
+
+def test_a_file_that_is_no_python_3_does_not_end_the_build_of_the_image(tmp_path: Path) -> None:
+    (tmp_path / "old.py").write_text("print 'a'\n")
+    (tmp_path / "new.py").write_text("print('a')\n")
+    text = (ROOT / "packaging/container/Containerfile").read_text()
+    (step,) = [one.strip() for one in text.split("&&") if "compileall" in one]
+    command = step.split("\n\n")[0].replace("/opt/rcp-gateway/lib", str(tmp_path))
+    command = command.replace("python3", sys.executable)
+    assert subprocess.run(["sh", "-c", command], check=False).returncode == 0
+    assert [*(tmp_path / "__pycache__").glob("new.*.pyc")]
 
 
 def test_a_gateway_that_ignores_its_end_is_ended(

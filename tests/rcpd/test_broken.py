@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from click.testing import CliRunner
 
-from broken import BROKEN, CAN, NEEDS, PAN, Broken
+from broken import BROKEN, CAN, MAVLINK, NEEDS, PAN, Broken
 from rcpd.cli import main
 from rcpd.diagnosis import Diagnosis
 
@@ -169,6 +169,13 @@ def test_serve_names_the_first_fault_with_its_line_and_counts_the_others(tmp_pat
     assert done.exit_code == 1
     assert done.output.startswith(f"rcpd: {file}:2: [limits] message: 3 does not fit")
     assert done.output.endswith(f"(1 more: `rcpd check {file}`)\n")
+
+
+def test_links_that_are_no_list_are_one_fault() -> None:
+    needs_its_extra(MAVLINK)
+    text = f'{MAVLINK}name = "a"\n{MAVLINK}name = "b"\nlinks = "x"\n'
+    found = Diagnosis(text, "rcp.toml").findings
+    assert [fault.line for fault in found] == [9], found
 
 
 @pytest.mark.parametrize("key", ["key", "sha256"])

@@ -117,7 +117,7 @@ async def test_a_correction_that_leaves_it_ahead_does_not_make_it_believed(
 async def test_a_clock_that_went_ahead_while_all_records_were_kept_is_not_believed_either(
     stepped: SteppedClock, path: Path
 ) -> None:
-    forever = "[audit]\nkeep_mb = 100\nkeep_days = 100000\n"
+    forever = "[audit]\nkeep_mb = 100\nkeep_days = inf\n"
     async with world_of(kept_in(path) + forever, clock=stepped.clock) as world:
         await write(world)
         stepped.adjust(10 * YEAR)
