@@ -96,7 +96,7 @@ def prepare(config: GatewayConfig, source: str) -> Prepared:
             continue
         where = f"{source}: backend '{backend.name}' ({backend.use}): "
         table = decode_table(backend.options, kind.config, where)
-        if kind.check is not None:
+        if kind.check is not None and plugins.is_missing("backends", backend.use) is None:
             try:
                 kind.check(table)
             except ConfigError as error:

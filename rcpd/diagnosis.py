@@ -199,13 +199,13 @@ class Diagnosis:
                 continue
             place = collector.original(("backends", index))
             left = collector.read(backend.options, kind.config, place, KERNEL_KEYS)
-            if left is not FAULTY and kind.check is not None and not self._survey.faulty(place):
+            ready = plugins.is_missing("backends", backend.use) is None
+            if left is not FAULTY and kind.check and ready and not self._survey.faulty(place):
                 with self._survey.checking(place, backend.options):
                     kind.check(msgspec.convert(left, kind.config, strict=True))
             if left is not FAULTY:
-                whole = not self._survey.faulty(
-                    place
-                )  # else a default may stand for what is at fault
+                # Else a default may stand for what is at fault.
+                whole = not self._survey.faulty(place)
                 table = msgspec.convert(left, kind.config, strict=True)
                 self._note_lacking(kind, table, place, backend.options)
                 if whole:

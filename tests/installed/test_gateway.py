@@ -161,6 +161,7 @@ def test_plugins_says_what_to_install(programs: Path) -> None:
         "jwt",
         "recorder",
         "replay",
+        "ros2",
         "tracing",
         "triggers",
         "vda5050",
