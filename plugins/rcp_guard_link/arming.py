@@ -17,7 +17,8 @@ from rcp_kernel.tree.entry import Owner
 __all__ = ["GuardArming"]
 
 _PERIOD = 0.1  # s between two heartbeats at most; a fifth of `guard_after` if that is less
-_THAW = 0.5  # s after a freeze during which received requests may be old
+_THAW = 0.5  # s of punctual heartbeats after a freeze, during which received requests may be old
+_THAW_MOST = 10.0  # s after which they are not, however late the heartbeats are
 
 
 class GuardArming(Guard):
@@ -42,6 +43,9 @@ class GuardArming(Guard):
         self.expected = float("inf")
         """When the next heartbeat is due, by the loop's clock."""
         self._thawed = float("-inf")
+        """When the last freeze ended, or the last late heartbeat after it was."""
+        self._stale_until = float("-inf")
+        """When requests count as new again at the latest."""
         self._frozen: frozenset[str] = frozenset()
         """The backends that were armed when the loop last stood still."""
 
@@ -81,7 +85,15 @@ class GuardArming(Guard):
             self.process.arm(self.armed)
 
     def look_for_freeze(self) -> None:
-        """Detect a heartbeat later than the guard allows."""
+        """Detect a heartbeat later than the guard allows.
+
+        A machine that is too busy to catch up at once reads what waited later than within `_THAW`.
+        """
         now = time.monotonic()
-        if now - self.expected > self.after and now > self._thawed + _THAW:
-            self._thawed, self._frozen = now, self.armed
+        late = now - self.expected
+        if now > self._thawed + _THAW:
+            if late > self.after:
+                self._thawed, self._frozen = now, self.armed
+                self._stale_until = now + _THAW_MOST
+        elif late > self.period and now < self._stale_until:
+            self._thawed = now
