@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
-from rcp_replay.config import ReplayConfig, check
+from rcp_replay.config import ReplayConfig, lacking
 from rcp_replay.messages import ReplayRequest, ReplayState
 
 __all__ = ["ReplayConfig", "ReplayRequest", "ReplayState", "rcp_backends"]
@@ -23,4 +23,5 @@ def rcp_backends() -> Iterable[BackendKind]:
     """Offer replay."""
     description = "A recording, played through the tree."
     needs = ("mcap", "mcap_ros2", "zstandard")
-    return [BackendKind("replay", ReplayConfig, _open, description, needs, check)]  # pyright: ignore[reportArgumentType]
+    kind = BackendKind("replay", ReplayConfig, _open, description, needs, lacks=lacking)  # pyright: ignore[reportArgumentType]
+    return [kind]

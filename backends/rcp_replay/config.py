@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from rcp_kernel.errors import ConfigError
 
-__all__ = ["ReplayConfig", "check", "found"]
+__all__ = ["ReplayConfig", "found", "lacking"]
 
 _SUFFIX = ".mcap"
 
@@ -44,9 +44,10 @@ def found(config: ReplayConfig) -> list[Path]:
     return files
 
 
-def check(config: ReplayConfig) -> None:
-    """Check that the files are there.
-
-    :raises ConfigError: one is not.
-    """
-    found(config)
+def lacking(config: ReplayConfig) -> str | None:
+    """Return which recording is not there, or None."""
+    try:
+        found(config)
+    except ConfigError as error:
+        return str(error)
+    return None

@@ -11,7 +11,7 @@ from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.spi import BackendKind
 from rcp_ros2.backend import Ros2Backend, open_ros2
 from rcp_ros2.config import Mapping, Qos, Ros2Config
-from rcp_ros2.environment import check_environment
+from rcp_ros2.environment import lacking
 from rcp_ros2.installation import install_advice
 from rcp_ros2.topics import PROFILE
 
@@ -27,7 +27,7 @@ def rcp_backends() -> Iterable[BackendKind]:
         open_ros2,
         "ROS 2 robots.",
         needs=("rclpy", "rcl_interfaces", "numpy"),
-        check=check_environment,
+        lacks=lacking,
         wants=("simplejpeg",),  # JPEGs of raw images
         remedy=install_advice(),
     )

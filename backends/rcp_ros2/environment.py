@@ -9,10 +9,9 @@ import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from rcp_kernel.errors import ConfigError
 from rcp_ros2.config import Ros2Config
 
-__all__ = ["check_environment"]
+__all__ = ["lacking"]
 
 _RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 _DOMAINS = 232
@@ -21,13 +20,9 @@ _NEEDED = ("identity_ca.cert.pem", "cert.pem", "key.pem", "governance.p7s", "per
 """What an enclave of SROS 2 has."""
 
 
-def check_environment(config: Ros2Config) -> None:
-    """Refuse variables of ROS 2 with which the backend would not start, or hear nobody.
-
-    :raises ConfigError: naming the first of them, and what to set.
-    """
-    for fault in _faults(config, os.environ):
-        raise ConfigError(fault)
+def lacking(config: Ros2Config) -> str | None:
+    """Return the first variable of ROS 2 with which the backend would not start, or hear nobody."""
+    return next(_faults(config, os.environ), None)
 
 
 def _faults(config: Ros2Config, environment: Mapping[str, str]) -> Iterator[str]:

@@ -53,7 +53,11 @@ links = ["sim:copter"]
 dialect = "{folder}/ours.xml"
 """
 GRPC = "[plugins.a2a]\n[plugins.a2a.grpc]\nport = 0\n"
+REPLAY = '[[backends]]\nname = "late"\nrobot = "late"\nuse = "replay"\ntenant = "a"\nfiles = ["{folder}/day.mcap"]\n'
+ROS2 = '[[backends]]\nname = "late"\nrobot = "late"\nuse = "ros2"\ntenant = "a"\ninterfaces = ["{folder}/share"]\n'
 LATE = {
+    "recording": (REPLAY, "", "there is no recording"),
+    "interfaces": (ROS2, "", "there is no folder"),
     "library": (DRONECAN, "dronecan", "No module named 'dronecan'"),
     "model": (MUJOCO, "", "there is no file"),
     "dialect": (MAVLINK, "", "there is no file"),
