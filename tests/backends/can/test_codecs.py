@@ -136,6 +136,7 @@ class NoBus:
     """A bus that takes everything and has nobody on it."""
 
     name, up, state = "none", True, "error_active"
+    lag = 0.0
     config = BusConfig()
 
     def received_at(self, _: can.Message) -> float:

@@ -80,6 +80,7 @@ async def test_homing_and_moves_are_as_fast_as_asked_where_a_drive_counts_in_rpm
         assert twin.get("profile_deceleration") == round(50.0 * 2.0 * ramps)
         assert twin.plant.position == pytest.approx(2.0, abs=0.05)
         twin.local.set_data(0x6099, 1, struct.pack("<I", round(5.0 * 2.0 * rpm)))
+        await rig.until(lambda: rig.axis.resting)
         with pytest.raises(OutOfRange, match=r"search speed [45][.\d]* rad/s exceeds"):
             await rig.ran("action/m/homing", {"method": 1})
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from typing import Any
 
 import msgspec
 import pytest
@@ -18,7 +19,8 @@ CMD = "actuator/base/cmd_vel"
 
 @asynccontextmanager
 async def rover() -> AsyncGenerator[Rig]:
-    wheel = {"bus": "can0", "profile": "odrive", "velocity": 10.0}
+    wheel: dict[str, Any] = {"bus": "can0", "profile": "odrive", "velocity": 10.0}
+    wheel |= {"timeout": 1.0, "feedback_timeout": 1.0}  # a busy machine's twins are late
     bus = {"interface": "virtual", "channel": channel(), "simulate": True}
     base = {"left": "l", "right": "r", "track": 0.4, "radius": 0.1}
     motors = {"l": {**wheel, "node": 1}, "r": {**wheel, "node": 2, "direction": -1}}
