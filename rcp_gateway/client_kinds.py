@@ -52,3 +52,5 @@ class AdapterKind(msgspec.Struct, frozen=True):
     """As for `BackendKind`."""
     check: Callable[[Any, GatewayConfig], None] | None = None
     """As for `TransportKind`."""
+    lacks: Callable[[Any], str | None] | None = None
+    """As for `BackendKind`, but called once, at the start: the adapter stays `down`."""

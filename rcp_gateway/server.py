@@ -200,10 +200,20 @@ async def _open_all(
     facts: list[dict[str, Any]],
 ) -> None:
     for name in sorted(tables, key=lambda n: getattr(kinds[n], "listens", False)):
+        if (lacking := _lacking(kinds[name], tables[name])) is not None:
+            facts.append({"name": name, "state": "down", "detail": lacking})
+            log.warning("plugin_unavailable", plugin=name, reason=lacking)
+            continue
         opened = await stack.enter_async_context(
             kinds[name].open(tables[name], client_api.renamed(name))
         )
         facts.append({"name": name, "state": "ready", **(opened or {})})
+
+
+def _lacking(kind: TransportKind | AdapterKind, table: Any) -> str | None:
+    if isinstance(kind, TransportKind) or kind.lacks is None:
+        return None
+    return kind.lacks(table)
 
 
 def _report_missing(missing: list[Missing], status: StatusReport) -> None:

@@ -322,6 +322,10 @@ class BackendSupervisor(BackendStatus):
 
     async def _live(self, kind: BackendKind, config: Any) -> None:
         left: list[asyncio.Task[Any]] = []
+        if kind.lacks is not None:  # in a thread: the file may be on a mount that does not answer
+            lacking = await asyncio.to_thread(kind.lacks, config)
+            if lacking is not None:
+                raise NotReady(lacking)
         try:
             async with kind.open(config, self) as opened:
                 self._use_backend(ContainedBackend(opened))

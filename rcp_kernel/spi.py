@@ -45,6 +45,7 @@ __all__ = [
     "Caller",
     "Dimensions",
     "Encoded",
+    "Exclusive",
     "FrameTree",
     "FrameWatch",
     "Host",
@@ -378,6 +379,27 @@ def has_watch(backend: Backend) -> bool:
     return getattr(type(inner), "watch", None) not in (None, BaseBackend.watch)
 
 
+class Exclusive(msgspec.Struct, frozen=True):
+    """Something of this machine that only one backend can have open."""
+
+    link: str
+    """As the configuration writes it."""
+    name: str
+    """Of the port or device, the same for all who mean it."""
+    host: str | None = None
+    """The address of a port; `0.0.0.0` and `::` are all of their family. None: it has none."""
+
+    def overlaps(self, other: Exclusive) -> bool:
+        """Return whether both cannot be open at once."""
+        if self.name != other.name:
+            return False
+        return self.host == other.host or self._covers(other) or other._covers(self)
+
+    def _covers(self, other: Exclusive) -> bool:
+        every = "::" if ":" in (other.host or "") else "0.0.0.0"  # noqa: S104 - compared only
+        return self.host == every
+
+
 class BackendKind(msgspec.Struct, frozen=True):
     """A kind of robot that a plugin can front; offered by the hook `rcp_backends`.
 
@@ -397,11 +419,16 @@ class BackendKind(msgspec.Struct, frozen=True):
     """Modules of an extra that it cannot be opened without; where one is not installed, the
     gateway says which extra to install and continues without it."""
     check: Callable[[Any], None] | None = None
-    """Raises `ConfigError` for faults that the type of the table cannot express, such as a missing
-    file; also called by `rcpd check`, so it opens nothing."""
+    """Raises `ConfigError` for faults of the table that its type cannot express; also called by
+    `rcpd check`, so it opens nothing. What the machine lacks is for `lacks`: a gateway with such a
+    fault does not start, and serves no other robot either."""
     wants: tuple[str, ...] = ()
     """Modules of an extra without which it does less; `rcpd check` warns where one is not installed."""
-    exclusive: Callable[[Any], Iterable[str]] | None = None
+    exclusive: Callable[[Any], Iterable[Exclusive]] | None = None
     """Returns what no other backend can have open, such as ports; `rcpd check` refuses two of one."""
     remedy: str | None = None
     """What to do where one of `needs` is not installed; None: install the extra."""
+    lacks: Callable[[Any], str | None] | None = None
+    """Returns what this machine lacks for a table, such as a file or a library that only some tables
+    need, and what to do; None: nothing. Called in a thread before each `open`: the backend is `down`
+    for that reason until nothing is lacking. `rcpd check` calls it a fault."""

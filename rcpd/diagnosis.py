@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from rcp_gateway.client_kinds import AdapterKind
 from rcp_gateway.plugins import (
     GROUPS,
     AnyKind,
@@ -24,7 +25,7 @@ from rcp_kernel.config.features import BUILTIN
 from rcp_kernel.config.file import KERNEL_KEYS, TRANSPORTS, GatewayConfig, parse
 from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
-from rcp_kernel.spi import BackendKind
+from rcp_kernel.spi import BackendKind, Exclusive
 from rcp_protocol.plain import is_map
 from rcp_toml.encoding import decoded
 from rcp_toml.positions import Place
@@ -192,7 +193,7 @@ class Diagnosis:
 
     def _examine_backends(self, plugins: Plugins) -> None:
         collector = self._survey.collector
-        held: dict[str, str] = {}
+        held: list[tuple[int, Exclusive]] = []
         for index, backend in enumerate(self._survey.config.backends):
             kind = plugins.backends.get(backend.use)
             if kind is None:
@@ -202,12 +203,34 @@ class Diagnosis:
             if left is not FAULTY and kind.check is not None and not self._survey.faulty(place):
                 with self._survey.checking(place, backend.options):
                     kind.check(msgspec.convert(left, kind.config, strict=True))
-            if left is not FAULTY and kind.exclusive is not None:
-                for one in kind.exclusive(msgspec.convert(left, kind.config, strict=True)):
-                    other = held.setdefault(one, backend.name)
-                    if other is not backend.name:
-                        text = f"'{one}' is used by the backend '{other}' already: only one can open it"
-                        collector.add(place_in(text, backend.options, place), text)
+            if left is not FAULTY:
+                table = msgspec.convert(left, kind.config, strict=True)
+                self._note_lacking(kind, table, place, backend.options)
+                self._note_shared(kind, table, index, held)
+
+    def _note_lacking(
+        self, kind: BackendKind | AdapterKind, table: Any, place: Place, raw: Any
+    ) -> None:
+        """Note what this machine lacks for a table; the gateway would serve the others."""
+        if kind.lacks is None or self._survey.faulty(place):
+            return
+        if (lacking := kind.lacks(table)) is not None:
+            with self._survey.checking(place, raw):
+                raise ConfigError(lacking)
+
+    def _note_shared(
+        self, kind: BackendKind, table: Any, index: int, held: list[tuple[int, Exclusive]]
+    ) -> None:
+        """Note what another backend has open too."""
+        backends, collector = self._survey.config.backends, self._survey.collector
+        for one in kind.exclusive(table) if kind.exclusive else ():
+            other = next((i for i, have in held if i != index and have.overlaps(one)), None)
+            held.append((index, one))
+            if other is not None:
+                name = backends[other].name
+                text = f"'{one.link}' is used by the backend '{name}' already: only one can open it"
+                place = collector.original(("backends", index))
+                collector.add(place_in(text, backends[index].options, place), text)
 
     def _examine_clients(
         self,
@@ -225,6 +248,9 @@ class Diagnosis:
             if left is not FAULTY and check is not None and not self._survey.faulty(place):
                 with self._survey.checking(place, raw):
                     check(msgspec.convert(left, kind.config, strict=True), config)
+            if left is not FAULTY and isinstance(kind, AdapterKind):
+                table = msgspec.convert(left, kind.config, strict=True)
+                self._note_lacking(kind, table, place, raw)
 
     def _examine_feature(self, kind: FeatureKind, raw: Any, config: GatewayConfig) -> None:
         collector = self._survey.collector

@@ -10,6 +10,7 @@ import asyncio
 import inspect
 import logging
 import re
+import socket
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any
@@ -27,10 +28,14 @@ from uvicorn.server import ServerState
 
 from rcp_protocol.validation import fault_of
 
+OPEN = Path("/proc/self/fd")
+PINNED = (
+    "a2a-sdk", "httptools", "mcp", "msgspec", "paho-mqtt", "picows", "ros-rclpy", "uvicorn"
+)  # fmt: skip
 PROJECT = tomllib.loads((Path(__file__).parent.parent / "pyproject.toml").read_text())["project"]
 
 
-@pytest.mark.parametrize("name", ["a2a-sdk", "httptools", "mcp", "msgspec", "picows", "uvicorn"])
+@pytest.mark.parametrize("name", PINNED)
 def test_what_has_no_public_api_for_us_is_pinned_from_above(name: str) -> None:
     extras = PROJECT["optional-dependencies"].values()
     every = [*PROJECT["dependencies"], *(one for extra in extras for one in extra)]
@@ -166,3 +171,20 @@ def test_an_a2a_request_keeps_its_parameters() -> None:
     from a2a.server.agent_execution import RequestContext
 
     assert "self._params" in inspect.getsource(RequestContext.__init__)
+
+
+def test_paho_closes_every_socket_of_a_client() -> None:
+    """For rcp_vda5050/robots.py, whose thread may have connected again after it was ended."""
+    from paho.mqtt.client import Client
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        client: Any = Client(CallbackAPIVersion.VERSION2)
+        before = len(list(OPEN.iterdir()))
+        client.connect("127.0.0.1", server.getsockname()[1])
+        peer, _ = server.accept()
+        with peer:
+            assert len(list(OPEN.iterdir())) > before + 1
+            client._reset_sockets()  # noqa: SLF001 - what rcp_vda5050 uses
+            assert client.socket() is None
+            assert len(list(OPEN.iterdir())) == before + 1  # the peer's

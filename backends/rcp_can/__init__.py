@@ -11,7 +11,6 @@ from importlib.util import find_spec
 
 from rcp_can.config import CanConfig
 from rcp_gateway.hookspecs import hookimpl
-from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import Backend, BackendKind, Host
 
 __all__ = ["CanConfig", "open_can", "rcp_backends"]
@@ -30,14 +29,15 @@ async def open_can(config: CanConfig, host: Host) -> AsyncGenerator[Backend]:
         yield backend
 
 
-def _check(config: CanConfig) -> None:
-    if config.dronecan_buses and find_spec("dronecan") is None:
-        nodes = (f"`dronecan.{name}`" for name in config.dronecan)
-        motors = (f"`motors.{n}`" for n, m in config.motors.items() if m.profile == "dronecan")
-        raise ConfigError(
-            f"{next(nodes, None) or next(motors)} needs a library: No module named 'dronecan'; "
-            "try: pip install 'rcp-gateway[dronecan]'"
-        )
+def _lacks(config: CanConfig) -> str | None:
+    if not config.dronecan_buses or find_spec("dronecan") is not None:
+        return None
+    nodes = (f"`dronecan.{name}`" for name in config.dronecan)
+    motors = (f"`motors.{n}`" for n, m in config.motors.items() if m.profile == "dronecan")
+    return (
+        f"{next(nodes, None) or next(motors)} needs a library: No module named 'dronecan'; "
+        "try: pip install 'rcp-gateway[dronecan]'"
+    )
 
 
 @hookimpl
@@ -45,4 +45,4 @@ def rcp_backends() -> Iterable[BackendKind]:
     """Register the CAN backend."""
     text = "Motor drives and devices on CAN buses."
     needs = ("can", "canopen", "cantools")
-    return [BackendKind("can", CanConfig, open_can, text, needs, _check)]
+    return [BackendKind("can", CanConfig, open_can, text, needs, lacks=_lacks)]

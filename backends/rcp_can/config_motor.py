@@ -15,14 +15,14 @@ BUILTIN_PROFILES = (
 )  # fmt: skip
 """Profiles that come with the backend."""
 _NODES = {
-    "cia402": (1, 127),  # CiA 301: 7 bits, 0 is all nodes
-    "dronecan": (1, 127),
-    "odrive": (0, 63),  # 6 bits beside the command
-    "moteus": (0, 127),
-    "vesc": (0, 255),
-    "cybergear": (0, 255),
+    "cia402": ("CiA 402", 1, 127),  # CiA 301: 7 bits, 0 is all nodes
+    "dronecan": ("DroneCAN", 1, 127),
+    "odrive": ("ODrive", 0, 63),  # 6 bits beside the command
+    "moteus": ("moteus", 0, 127),
+    "vesc": ("VESC", 0, 255),
+    "cybergear": ("CyberGear", 0, 255),
 }
-"""Lowest and highest id of a node, where a profile has fewer than CAN."""
+"""The maker's name, and the lowest and highest id of a node, where a profile has fewer than CAN."""
 _PERIODS_PER_WATCHDOG = 3  # set-points per watchdog period, because some may be lost
 Positive = Annotated[float, Meta(gt=0, le=1e6)]
 
@@ -79,10 +79,10 @@ class MotorConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise ValueError(
                 f"`profile`: unknown {self.profile!r}; use one of {known}, or <module>:<NAME>"
             )
-        lowest, highest = _NODES.get(self.profile, (0, 0x7FF))
+        name, lowest, highest = _NODES.get(self.profile, ("CAN", 0, 0x7FF))
         if not lowest <= self.node <= highest:
             raise ValueError(
-                f"`node`: {self.node} is no id of {self.profile}: {lowest} to {highest}"
+                f"`node`: {self.node} is not a valid {name} node id ({lowest} to {highest})"
             )
         if self.watchdog is True:
             raise ValueError("`watchdog` must be a time in s, or false")

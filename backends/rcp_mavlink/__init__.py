@@ -5,7 +5,7 @@ Importing this package is cheap; pymavlink is imported when a backend is opened.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,7 +14,7 @@ from pkgutil import iter_modules
 
 from rcp_gateway.hookspecs import hookimpl
 from rcp_kernel.errors import ConfigError
-from rcp_kernel.spi import BackendKind
+from rcp_kernel.spi import BackendKind, Exclusive
 from rcp_mavlink.backend import MavlinkBackend, open_mavlink
 from rcp_mavlink.config import LinkSpec, MavlinkConfig, TwinConfig
 
@@ -24,17 +24,28 @@ __all__ = ["MavlinkBackend", "MavlinkConfig", "TwinConfig", "open_mavlink", "rcp
 def _check(config: MavlinkConfig) -> None:
     name = config.dialect
     if name.endswith(".xml"):
-        if not Path(name).is_file():
-            raise ConfigError(f"`dialect`: there is no file '{name}'")
-    elif not name.isidentifier() or find_spec(f"pymavlink.dialects.v20.{name}") is None:
+        return
+    if not name.isidentifier() or find_spec(f"pymavlink.dialects.v20.{name}") is None:
         known = [one.name for one in iter_modules(import_module("pymavlink.dialects.v20").__path__)]
         near = get_close_matches(name, known, n=1)
         advice = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(sorted(known))}"
         raise ConfigError(f"`dialect`: pymavlink has no '{name}'; {advice}")
 
 
-def _listening(config: MavlinkConfig) -> list[str]:
-    return [one for one in config.links if LinkSpec.of(one).kind in ("udpin", "tcpin", "serial")]
+def _lacks(config: MavlinkConfig) -> str | None:
+    name = config.dialect
+    if not name.endswith(".xml") or Path(name).is_file():
+        return None
+    return f"`dialect`: there is no file '{name}'"
+
+
+def _exclusive(config: MavlinkConfig) -> Iterator[Exclusive]:
+    for text in config.links:
+        link = LinkSpec.of(text)
+        if link.kind == "serial":
+            yield Exclusive(text, link.host)
+        elif link.kind in ("udpin", "tcpin") and link.port:
+            yield Exclusive(text, f"{link.kind} {link.port}", link.host)
 
 
 @hookimpl
@@ -42,6 +53,13 @@ def rcp_backends() -> Iterable[BackendKind]:
     """Connect MAVLink vehicles."""
     text, needs = "MAVLink vehicles.", ("pymavlink", "fastcrc")
     kind = BackendKind(
-        "mavlink", MavlinkConfig, open_mavlink, text, needs, _check, exclusive=_listening
+        "mavlink",
+        MavlinkConfig,
+        open_mavlink,
+        text,
+        needs,
+        _check,
+        exclusive=_exclusive,
+        lacks=_lacks,
     )
     return [kind]

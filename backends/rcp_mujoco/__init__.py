@@ -9,7 +9,6 @@ from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 
 from rcp_gateway.hookspecs import hookimpl
-from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import Backend, BackendKind, Host
 from rcp_mujoco.config import MujocoConfig
 from rcp_mujoco.robots import model_path
@@ -36,11 +35,10 @@ async def open_mujoco(config: MujocoConfig, host: Host) -> AsyncGenerator[Backen
         yield backend
 
 
-def _check(config: MujocoConfig) -> None:
-    if not (path := model_path(config)).is_file():
-        raise ConfigError(
-            f"`model`: there is no file '{path}': write its path, or `rover` or `arm`"
-        )
+def _lacks(config: MujocoConfig) -> str | None:
+    if (path := model_path(config)).is_file():
+        return None
+    return f"`model`: there is no file '{path}': write its path, or `rover` or `arm`"
 
 
 @hookimpl
@@ -48,4 +46,5 @@ def rcp_backends() -> Iterable[BackendKind]:
     """Offer simulated robots."""
     text = "Robots in the MuJoCo simulator."
     needs, wants = ("mujoco", "numpy"), ("OpenGL",)  # which draws cameras
-    return [BackendKind("mujoco", MujocoConfig, open_mujoco, text, needs, _check, wants)]
+    kind = BackendKind("mujoco", MujocoConfig, open_mujoco, text, needs, wants=wants, lacks=_lacks)
+    return [kind]

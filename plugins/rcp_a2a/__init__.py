@@ -35,11 +35,6 @@ async def open_a2a(config: A2aConfig, client_api: ClientApi) -> AsyncGenerator[d
 
 
 def _check(config: A2aConfig, gateway: GatewayConfig) -> None:
-    if config.grpc is not None and find_spec("grpc") is None:
-        raise ConfigError(
-            "[plugins.a2a.grpc]: `grpc` needs a library: No module named 'grpc'; try: "
-            "pip install 'rcp-gateway[grpc]'"
-        )
     check(config)
     served = gateway.transports.get("asgi", {}).get("port", 8080)
     if config.grpc is not None and config.grpc.port == served != 0:
@@ -48,8 +43,18 @@ def _check(config: A2aConfig, gateway: GatewayConfig) -> None:
         )
 
 
+def _lacks(config: A2aConfig) -> str | None:
+    if config.grpc is None or find_spec("grpc") is not None:
+        return None
+    return (
+        "[plugins.a2a.grpc]: `grpc` needs a library: No module named 'grpc'; try: "
+        "pip install 'rcp-gateway[grpc]'"
+    )
+
+
 @hookimpl
 def rcp_adapters() -> Iterable[AdapterKind]:
     """Provide A2A."""
     needs = ("a2a", "starlette", "google.protobuf", "httpx", "cryptography", "jwt")
-    return [AdapterKind("a2a", A2aConfig, open_a2a, __doc__ or "", needs=needs, check=_check)]
+    text = __doc__ or ""
+    return [AdapterKind("a2a", A2aConfig, open_a2a, text, needs, check=_check, lacks=_lacks)]

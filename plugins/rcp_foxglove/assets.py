@@ -55,7 +55,9 @@ class Assets:
                 )
                 if reply.error is None and isinstance(data, bytes):
                     if not self._requests.reply(asset(wish.request_id, data)):
-                        self._put(asset_failure(wish.request_id, f"It is left out: {UNREAD}."))
+                        self._put(
+                            asset_failure(wish.request_id, f"It was dropped because {UNREAD}.")
+                        )
                     return
                 if (reason := refusal_text(reply)) not in reasons:
                     reasons.append(reason)

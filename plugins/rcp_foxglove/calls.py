@@ -68,7 +68,7 @@ class Calls:
 
     def _respond(self, call: Call, result: bytes) -> None:
         if not self._requests.reply(call_response(call, result)):
-            self._fail(call, f"It has ended, and its response is left out: {UNREAD}.")
+            self._fail(call, f"The call ended, but its response was dropped because {UNREAD}.")
 
     def _fail(self, call: Call, reason: str) -> None:
         facts = {

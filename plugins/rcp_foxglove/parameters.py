@@ -82,27 +82,28 @@ class Parameters:
 
     async def _send(self, offers: Iterable[ParameterOffer], id_: str | None) -> None:
         found: list[dict[str, Any]] = []
-        size, sent, room = 0, False, True
+        size, sent = 0, False
         for one in offers:
             reply = await self._requests.request(Request(type="read", path=one.path))
             if reply.error is None:
                 found.append(_facts(one, reply))
                 size += len(found[-1]["value"])
             if len(found) == _PART or size > _BYTES:
-                room = self._values(found, id_)
+                if not self._values(found, id_, answered=sent):
+                    return
                 found, size, sent = [], 0, True
-            if not room:
-                return
         if found or not sent:
-            self._values(found, id_)
+            self._values(found, id_, answered=sent)
 
-    def _values(self, found: list[dict[str, Any]], id_: str | None) -> bool:
+    def _values(self, found: list[dict[str, Any]], id_: str | None, *, answered: bool) -> bool:
         facts: dict[str, Any] = {"op": "parameterValues", "parameters": found}
         if id_ is not None:
             facts["id"] = id_
         room = self._requests.reply(msgspec.json.encode(facts))
         if not room:
-            self._statuses.tell(f"Values of parameters are left out: {UNREAD}.")
+            if id_ is not None and not answered:  # it may wait for the id
+                self._requests.reply(msgspec.json.encode(facts | {"parameters": []}))
+            self._statuses.tell(f"Values of parameters were dropped because {UNREAD}.")
         return room
 
     async def _set(self, wishes: list[Parameter], id_: str | None, view: View) -> None:

@@ -18,7 +18,7 @@ from rcp_kernel.wire import NO_BODY, Reply, Request
 
 __all__ = ["UNREAD", "Requests", "body_of"]
 
-UNREAD = "too much that was sent before is unread"
+UNREAD = "the client has too much unread data"
 _TASKS = 1024
 log = structlog.get_logger("rcp.foxglove")
 

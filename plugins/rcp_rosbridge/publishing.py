@@ -20,7 +20,7 @@ from rcp_rosbridge.status import sentence
 __all__ = ["Publishing"]
 
 _MOST = 1000  # topics that a client publishes on
-_IDS = 16  # advertisements of one topic that are told apart
+_IDS = 4096  # advertisements of one client, of all its topics
 _QUEUE = 16  # messages of a topic that wait for the robot
 _REMEDY = "Send a message of the topic's type; /rosapi/message_details describes it."
 _BYTES = 4 * 1024 * 1024  # of all that wait
@@ -44,20 +44,25 @@ class Publishing:
         self._context = context
         self._leases = leases
         self._advertised: dict[str, set[str | None]] = {}
+        self._count = 0
+        """Number of advertisements of all topics."""
         self._outlets: dict[str, _Outlet] = {}
         self._size = 0
 
     def advertise(self, op: Advertise) -> None:
         """Note that the client will publish, and tell it if that will have no effect.
 
-        :raises BadRequest: there are too many topics.
+        :raises BadRequest: there are too many.
         """
-        if op.topic not in self._advertised and len(self._advertised) >= _MOST:
+        ids = self._advertised.get(op.topic)
+        if ids is None and len(self._advertised) >= _MOST:
             raise BadRequest(f"a client advertises at most {_MOST} topics")
         id_ = None if op.id_ is None else str(op.id_)
-        ids = self._advertised.setdefault(op.topic, set())
-        if len(ids) < _IDS:
-            ids.add(id_)
+        if ids is None or id_ not in ids:
+            if self._count >= _IDS:
+                raise BadRequest(f"a client has at most {_IDS} advertisements")
+            self._count += 1
+            self._advertised.setdefault(op.topic, set()).add(id_)
 
         def use(graph: Graph) -> None:
             topic = graph.topic(op.topic)
@@ -76,8 +81,11 @@ class Publishing:
         if ids is None or (id_ is not None and id_ not in ids):
             self._context.status.warning(f"{op.topic} was not advertised", id_)
             return
-        ids.discard(id_)
-        if id_ is None or not ids:
+        left = set[str | None]() if id_ is None else ids - {id_}
+        self._count -= len(ids) - len(left)
+        if left:
+            self._advertised[op.topic] = left
+        else:
             del self._advertised[op.topic]
             self._context.with_graph(lambda graph: self._release(op.topic, graph), lambda _: None)
 

@@ -139,9 +139,9 @@ fn a_machine_that_does_not_answer_is_not_waited_for_for_minutes() {
 #[test]
 fn what_no_gateway_has_confirmed_is_not_in_force() {
     let (gateway, served) = serve(answers(&[r#"{"message": "no healthy upstream"}"#, BEGUN]));
-    for _ in 0..2 {
+    for code in ["connection_lost", "bad_response"] {
         let lost = rcp::AlphaTicks.set.write(&gateway, &5, None).err().unwrap();
-        assert_eq!(lost.code, "connection_lost");
+        assert_eq!(lost.code, code);
     }
     served.join().unwrap();
 }
@@ -151,6 +151,17 @@ fn a_key_cannot_add_headers() {
     let gateway = rcp::Gateway::new("http://127.0.0.1:1", "").unwrap();
     let refused = rcp::AlphaDrive.start(&gateway, "order-1\r\nAuthorization: Bearer other", &1.5).err().unwrap();
     assert_eq!(refused.code, "bad_request");
+}
+
+#[test]
+fn a_token_or_an_address_cannot_add_headers() {
+    let over = |url: &str, token: &str| rcp::Gateway::over(url, token, |target| Ok(Box::new(target.tcp()?))).err().map(|error| error.code);
+    let new = |url: &str, token: &str| rcp::Gateway::new(url, token).err().map(|error| error.code);
+    for (url, token) in [("http://r", "key\n"), ("http://r", "key\r\nX: 1"), ("http://r\r\nX: 1", "key"), ("http://r/a\n", "key")] {
+        assert_eq!(new(url, token).as_deref(), Some("bad_request"), "{:?}", (url, token));
+        assert_eq!(over(url, token).as_deref(), Some("bad_request"), "{:?}", (url, token));
+    }
+    assert_eq!(new("http://r", "key"), None);
 }
 
 const HELD: &str = r#"{"status": "completed", "body": {"lease": "lease-1"}}"#;

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from ipaddress import IPv6Address
+from urllib.parse import urlsplit
+
 from rcp_asgi.config import AsgiConfig
 from rcp_asgi.origins import is_loopback
 from rcp_asgi.proxies import Proxies
@@ -38,16 +41,28 @@ def check_door(config: AsgiConfig, client_api: ClientApi) -> None:
 
 def _check_host(host: str) -> None:
     """Refuse what is a URL, or has a port, before it is taken for the name of another machine."""
-    bare = host.rpartition("://")[2].rstrip("/")
-    name, colon, port = bare.rpartition(":")
-    with_port = bool(colon) and port.isdecimal() and (":" not in name or name.endswith("]"))
-    if bare == host and not with_port:
+    is_url = "://" in host
+    if not is_url and _is_ipv6(host):
         return
-    advice = f"write host = '{name.strip('[]') if with_port else bare}'"
+    try:
+        url = urlsplit(host if is_url else f"//{host}")
+        name, port = url.hostname, url.port
+    except ValueError:  # no port, or brackets that do not fit
+        name, port = None, None
+    if name == host.lower():
+        return
+    advice = f"write host = '{name}'" if name else "write the name or the address alone"
     raise ConfigError(
         f"[transports.asgi] host = '{host}' is no address: {advice}"
-        + (f" and port = {port}" if with_port else "")
+        + (f" and port = {port}" if port is not None else "")
     )
+
+
+def _is_ipv6(host: str) -> bool:
+    try:
+        return bool(IPv6Address(host))
+    except ValueError:
+        return False
 
 
 def _check(config: AsgiConfig, *, closed: bool, served: bool) -> None:

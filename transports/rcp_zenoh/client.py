@@ -34,19 +34,22 @@ class HubLink:
         self,
         client_api: ClientApi,
         session: zenoh.Session,
-        key: zenoh.KeyExpr,
+        key: str,
+        declare: Callable[[str], zenoh.KeyExpr | None],
         encoding: Encoding,
         config: ZenohConfig,
         allowance: Allowance,
         statistics: LinkStatistics,
         gone: Callable[[], object],
     ) -> None:
+        self._key, self._declare = key, declare
         self._gone, self._statistics, self._allowance = gone, statistics, allowance
         self._encoding, self._classifier = encoding, Classifier(encoding)
         self._paused = False
         """Whether updates stay in the outbox, where they are conflated."""
         principal = _NOBODY if client_api.requires_authentication else client_api.authenticate(None)
-        self._known = principal is not _NOBODY
+        self.known = False
+        """Whether its hub has said who it is, or need not."""
         self._connection = client_api.connect(principal, encoding, self.flush, wraps=True)
         self._pipe = Pipe(session, key, config.silence, self, allowance, self._note)
         self._connection.set_callbacks(
@@ -54,6 +57,8 @@ class HubLink:
             released=self._released,
             cut=lambda: self.close("the hub does not read"),
         )
+        if principal is not _NOBODY:
+            self._prove()
         self._patience = client_api.loop.call_later(config.patience, self._turn_away)
         statistics.opened(self._pipe)
 
@@ -62,8 +67,16 @@ class HubLink:
         """Longest message that the hub may send now."""
         return self._connection.limit
 
+    def _prove(self) -> None:
+        """Declare the key, which nobody else can make the gateway do: Zenoh has few numbers."""
+        if self.known:
+            return
+        self.known = True
+        if (key := self._declare(self._key)) is not None:
+            self._pipe.declare(key)
+
     def _turn_away(self) -> None:
-        if not self._known:
+        if not self.known:
             self.close("the hub did not say who it is")
 
     def received(self, sample: zenoh.Sample) -> None:
@@ -80,7 +93,7 @@ class HubLink:
             )
             self._connection.send(failure(error, "error"))
             return
-        if not self._known and not self._connection.buffering:
+        if not self.known and not self._connection.buffering:
             type_, id_ = peek_header(data, self._encoding)
             if type_ != "hello":
                 refusal = Unauthenticated("authentication required")
@@ -96,7 +109,7 @@ class HubLink:
 
     def _hello(self, hello: Hello) -> dict[str, object]:
         if self._connection.session.principal is not _NOBODY:
-            self._known = True
+            self._prove()
         return {}
 
     def drained(self) -> None:
@@ -168,7 +181,8 @@ class HubLink:
 
     def ended(self, why: str) -> None:
         """Release the connection."""
-        log.info("zenoh_link_ended", session=self._connection.session.id[:8], reason=why)
+        level = log.info if self.known else log.debug  # anybody can begin and end many
+        level("zenoh_link_ended", session=self._connection.session.id[:8], reason=why)
         self._statistics.ended(self._pipe, why)
         self._patience.cancel()
         self._connection.close()

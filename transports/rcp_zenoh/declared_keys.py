@@ -22,7 +22,7 @@ class DeclaredKeys:
         self._keys: dict[str, zenoh.KeyExpr] = {}
 
     def has_room(self, key: str) -> bool:
-        """Return whether a key can be declared, or is already."""
+        """Return whether a key can be declared, or is already; if not, only a new session helps."""
         return key in self._keys or len(self._keys) < _MOST
 
     def of(self, key: str) -> zenoh.KeyExpr:

@@ -52,13 +52,13 @@ class Lane:
     __slots__ = (
         "_delay",
         "_joined",
-        "_key",
         "_priority",
         "_publisher",
         "_session",
         "_size",
         "_step",
         "acknowledged",
+        "key",
         "parts",
         "received",
         "seen",
@@ -67,8 +67,12 @@ class Lane:
         "written",
     )
 
-    def __init__(self, session: zenoh.Session, key: zenoh.KeyExpr, priority: Priority) -> None:
-        self._session, self._key, self._priority = session, key, priority
+    def __init__(
+        self, session: zenoh.Session, key: zenoh.KeyExpr | str, priority: Priority
+    ) -> None:
+        self._session, self._priority = session, priority
+        self.key = key
+        """On which it sends; a text is not declared, and takes none of Zenoh's numbers."""
         self._publisher: zenoh.Publisher | None = None
         self._delay = DelayWindow(PART) if priority is Priority.BULK else None
         self._step = 1 if priority is Priority.BULK else WINDOWS[priority] // 4
@@ -128,9 +132,18 @@ class Lane:
 
     def put(self, data: bytes, attachment: bytes) -> None:
         """Put a message on the wire."""
+        if isinstance(self.key, str):
+            self._session.put(
+                self.key,
+                data,
+                attachment=attachment,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=_ZENOH[self._priority],
+            )
+            return
         if self._publisher is None:  # most links never use some classes
             self._publisher = self._session.declare_publisher(
-                self._key,
+                self.key,
                 congestion_control=zenoh.CongestionControl.DROP,  # never blocks the event loop
                 priority=_ZENOH[self._priority],
                 # Not even stops are `express`: each would take a batch of its own, and those to a

@@ -21,10 +21,11 @@ from rcp_zenoh.budget import Allowance
 from rcp_zenoh.lane import WHOLE, Lane, Priority
 from rcp_zenoh.path import Beat, PathTimes
 
-__all__ = ["Message", "Pipe", "PipeOwner"]
+__all__ = ["Message", "Pipe", "PipeOwner", "refuse"]
 
 _HEAD = struct.Struct("<cBQ")
 _MESSAGE, _PART, _LAST, _TAKEN, _BEAT, _END = b"m", b"p", b"n", b"a", b"h", b"e"
+_WORDS = 200  # bytes that the other end may say about why it closed the link
 _OVERHEAD = 64  # bytes of a message on the wire besides its data, in round figures
 _DATA = frozenset((_MESSAGE, _PART))
 _PRIORITIES = tuple(Priority)
@@ -56,6 +57,17 @@ class PipeOwner(Protocol):
         ...
 
 
+def refuse(session: zenoh.Session, key: str, why: str) -> None:
+    """Tell another end why it gets no link."""
+    attachment = _HEAD.pack(_END, Priority.CONTROL, 0)
+    Lane(session, key, Priority.CONTROL).put(why.encode(), attachment)
+
+
+def _reason(told: bytes) -> str:
+    closed = "the other end closed the link"
+    return f"{closed}: {told[:_WORDS].decode(errors='replace')}" if told else closed
+
+
 class Pipe:
     """One end of a link; for the event loop's thread."""
 
@@ -82,7 +94,7 @@ class Pipe:
     def __init__(
         self,
         session: zenoh.Session,
-        key: zenoh.KeyExpr,
+        key: zenoh.KeyExpr | str,
         silence: float,
         owner: PipeOwner,
         allowance: Allowance,
@@ -90,7 +102,7 @@ class Pipe:
     ) -> None:
         """Open an end that sends on `key`, and ends after a `silence` of so many seconds.
 
-        `key` is a declared one. `on_beat` is called after each heartbeat.
+        `key` is a declared one, or a text until `declare` is called. `on_beat` is called after each heartbeat.
         """
         self._owner, self._silence, self.on_beat = owner, silence, on_beat
         self._allowance = allowance
@@ -140,6 +152,11 @@ class Pipe:
         return not self.closed and lane.room > 0 and not lane.parts
 
     # -- sending -------------------------------------------------------------------------------
+
+    def declare(self, key: zenoh.KeyExpr) -> None:
+        """Send on the same key from now on, which is declared now: that costs less."""
+        for lane in self._lanes:
+            lane.key = key
 
     def send(self, data: bytes, priority: Priority) -> None:
         """Send one message, in parts if it is long; the caller heeds `writable`."""
@@ -207,7 +224,7 @@ class Pipe:
         elif kind == _BEAT:
             self._beat(sample.payload.to_bytes())
         elif kind == _END:
-            self.end("the other end closed the link", tell=False)
+            self.end(_reason(sample.payload.to_bytes()), tell=False)
         return None  # of a later version, if it is of none of these kinds
 
     def _message(
@@ -302,7 +319,7 @@ class Pipe:
         self.closed = True
         self._timer.cancel()
         if tell:
-            self._tell(_END, Priority.CONTROL, 0)
+            self._tell(_END, Priority.CONTROL, 0, why.encode())
         for lane in self._lanes:
             lane.close()
         self._owner.ended(why)

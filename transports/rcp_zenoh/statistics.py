@@ -8,6 +8,8 @@ from rcp_zenoh.pipe import Pipe
 
 __all__ = ["LinkStatistics", "Statistics"]
 
+_MOST = 1024  # hubs without a link that are remembered: anybody can make up names
+
 
 class LinkStatistics:
     """What all links with one other end have carried; several may be open at once."""
@@ -20,6 +22,11 @@ class LinkStatistics:
         self._heard: float | None = None
         """Of links that have ended."""
         row |= {"links": 0, "lost": 0, "sent": 0, "received": 0}
+
+    @property
+    def idle(self) -> bool:
+        """Whether no link is open."""
+        return not self._open
 
     @property
     def heard(self) -> float | None:
@@ -72,7 +79,15 @@ class Statistics:
     def of(self, hub: str) -> LinkStatistics:
         """Return the statistics of the links with a hub."""
         if hub not in self._hubs:
+            if len(self._hubs) >= _MOST:
+                self._forget()
             row: dict[str, Any] = {"hub": hub}
             self.rows.append(row)
             self._hubs[hub] = LinkStatistics(row)
         return self._hubs[hub]
+
+    def _forget(self) -> None:
+        """Forget the oldest hub that has no link."""
+        gone = next((hub for hub, known in self._hubs.items() if known.idle), None)
+        if gone is not None:
+            self.rows.remove(self._hubs.pop(gone).row)

@@ -18,16 +18,17 @@ from rcp_zenoh.client import HubLink
 from rcp_zenoh.config import ZenohConfig
 from rcp_zenoh.declared_keys import DeclaredKeys
 from rcp_zenoh.keys import LinkKeys, alive, encoding_of, links_of, part, revoked
+from rcp_zenoh.pipe import refuse
 from rcp_zenoh.session import Intake, configuration, on_loop, opened
 from rcp_zenoh.statistics import Statistics
 
 __all__ = ["joined"]
 
 log = structlog.get_logger("rcp.zenoh")
-_OF_ONE, _MOST = (
-    256,
-    1024,
-)  # links of one hub, and of all: each is a session that may yet say who it is
+_OF_ONE = 256  # links of one hub
+_MOST = 1024  # links of all hubs: with so many that have said who they are, no other begins
+_UNPROVED = 1024  # links that have yet to say who they are: with more, the oldest one ends
+_LOG = 10.0  # s between two lines about links that are refused
 _REVOCATIONS: ServiceKey[Callable[[bytes], None]] = ServiceKey("hubs.revocations")
 """As of the feature `hubs`: takes the list of revoked hubs."""
 
@@ -41,7 +42,11 @@ class _Links:
         client_api: ClientApi,
         session: zenoh.Session,
         statistics: Statistics,
+        spent: asyncio.Event,
     ) -> None:
+        """Set `spent` when no more keys can be declared."""
+        self._spent = spent
+        self._refused, self._logged_at = 0, float("-inf")
         self._config, self._client_api, self._session = config, client_api, session
         self._statistics, self._declared = statistics, DeclaredKeys(session)
         limit = config.budget
@@ -55,26 +60,57 @@ class _Links:
             known = self._links.get((hub, link))
             if known is not None:
                 known.close("the hub is gone")
-        elif (hub, link) not in self._links and not self._client_api.closing:
-            config = self._config
-            keys = LinkKeys.of(config.tenant, config.gateway, hub, link)
-            if not (self._has_room(hub) and self._declared.has_room(keys.down)):
-                log.warning("zenoh_link_refused", hub=hub, links=len(self._links))
-                return
-            self._links[hub, link] = HubLink(
-                self._client_api,
-                self._session,
-                self._declared.of(keys.down),
-                encoding_of(link),
-                config,
-                self._allowance,
-                self._statistics.of(hub),
-                partial(self._links.pop, (hub, link), None),
-            )
+        elif self._spent.is_set() or self._client_api.closing:
+            return  # the next session is told of all tokens that are still there
+        elif (hub, link) not in self._links:
+            self._open(hub, link)
 
-    def _has_room(self, hub: str) -> bool:
-        own = sum(other == hub for other, _ in self._links)
-        return own < _OF_ONE and len(self._links) < _MOST
+    def _open(self, hub: str, link: str) -> None:
+        config = self._config
+        keys = LinkKeys.of(config.tenant, config.gateway, hub, link)
+        if (why := self._make_room(hub)) is not None:
+            refuse(self._session, keys.down, why)
+            self._log_refusal(hub, why)
+            return
+        self._links[hub, link] = HubLink(
+            self._client_api,
+            self._session,
+            keys.down,
+            self._declare,
+            encoding_of(link),
+            config,
+            self._allowance,
+            self._statistics.of(hub),
+            partial(self._links.pop, (hub, link), None),
+        )
+
+    def _make_room(self, hub: str) -> str | None:
+        """End the oldest link that has yet to say who it is; return why there is no room for one.
+
+        Whoever reaches the router can open links, but not keep one that has said who it is away.
+        """
+        own = [one for (other, _), one in self._links.items() if other == hub]
+        if len(own) >= _OF_ONE and not _end_oldest(own):
+            return f"this hub has {_OF_ONE} links already"
+        unproved = [one for one in self._links.values() if not one.known]
+        if len(self._links) - len(unproved) >= _MOST:
+            return f"this gateway has {_MOST} links already"
+        if len(unproved) >= _UNPROVED:
+            _end_oldest(unproved)
+        return None
+
+    def _log_refusal(self, hub: str, why: str) -> None:
+        self._refused += 1
+        moment = self._client_api.loop.time()
+        if moment - self._logged_at >= _LOG:
+            log.warning("zenoh_link_refused", hub=hub, reason=why, refused=self._refused)
+            self._refused, self._logged_at = 0, moment
+
+    def _declare(self, key: str) -> zenoh.KeyExpr | None:
+        if self._declared.has_room(key):
+            return self._declared.of(key)
+        self._spent.set()
+        return None
 
     def message(self, sample: zenoh.Sample) -> None:
         """Pass a message to its link; without a token it is nobody's."""
@@ -84,8 +120,18 @@ class _Links:
 
     def close(self) -> None:
         """End all links."""
+        spent = self._spent.is_set()
+        why = "the gateway opens its Zenoh session anew" if spent else "the gateway is closing"
         for link in list(self._links.values()):
-            link.close("the gateway is closing")
+            link.close(why)
+
+
+def _end_oldest(links: list[HubLink]) -> bool:
+    """End the oldest link that has yet to say who it is, if there is one."""
+    oldest = next((one for one in links if not one.known), None)
+    if oldest is not None:
+        oldest.close("the hub did not say who it is before too many others began")
+    return oldest is not None
 
 
 @asynccontextmanager
@@ -107,12 +153,22 @@ async def joined(config: ZenohConfig, client_api: ClientApi) -> AsyncGenerator[d
 
 
 async def _serve(config: ZenohConfig, client_api: ClientApi, statistics: Statistics) -> None:
+    while True:
+        await _serve_session(config, client_api, statistics)
+        log.error("zenoh_session_reopened", reason="all keys that Zenoh can number are declared")
+
+
+async def _serve_session(
+    config: ZenohConfig, client_api: ClientApi, statistics: Statistics
+) -> None:
+    """Serve until no more keys can be declared."""
+    spent = asyncio.Event()
     loop, keys = client_api.loop, links_of(config.tenant, config.gateway)
     zenoh_config = configuration(
         "client", connect=config.connect, silence=config.silence, tls=config.tls
     )
     async with opened(zenoh_config, patient=True) as session:
-        links = _Links(config, client_api, session, statistics)
+        links = _Links(config, client_api, session, statistics, spent)
         # The token of a link comes before its messages; our own comes last, when we can answer.
         tokens = session.liveliness().declare_subscriber(
             keys.token, on_loop(loop, links.token), history=True
@@ -125,7 +181,7 @@ async def _serve(config: ZenohConfig, client_api: ClientApi, statistics: Statist
         )
         own = session.liveliness().declare_token(alive(config.tenant, config.gateway))
         try:
-            await asyncio.Event().wait()
+            await spent.wait()
         finally:
             links.close()
             for one in (own, revocations, messages, tokens):

@@ -126,7 +126,7 @@ async def test_a_subscriber_sees_a_robot_leave_and_return() -> None:
             # More than two if it said goodbye before its token went: the hub tried once more.
             assert back["links"] >= 2
             # Whichever arrives first, its last message or the end of its token.
-            assert back["last_end"] in ("the other end closed the link", "the gateway is gone")
+            assert back["last_end"].startswith(("the other end closed", "the gateway is gone"))
             assert back["sent"] >= gone["sent"], "what earlier links carried counts"
         await client.close()
 

@@ -144,6 +144,14 @@ async def test_what_a_client_asks_for_and_does_not_read_does_not_pile_up(
             await socket.send(json.dumps({"op": "getParameters", "parameterNames": names}))
             async with asyncio.timeout(BOUND):
                 await asked.wait()
+            asked.clear()
+            late = {"op": "getParameters", "parameterNames": names[:2], "id": "late"}
+            await socket.send(json.dumps(late))
+            async with asyncio.timeout(BOUND):
+                await asked.wait()  # it has not read yet
+                while (answer := json.loads(await socket.recv())).get("id") != "late":
+                    pass
+    assert answer["parameters"] == []
     assert 200_000 < most < 2 * 1_048_576
 
 

@@ -128,6 +128,34 @@ async def test_two_commanders_where_a_lease_is_required() -> None:
         await first.status("/cmd_vel")  # it does not take the lease back by itself
 
 
+async def test_a_lease_is_kept_until_the_last_publisher_of_a_topic_has_gone() -> None:
+    safety = '[safety]\nlease_required = ["/actuator/**"]\n'
+    ids = [f"advertise:/cmd_vel:{number}" for number in range(40)]
+    async with (
+        site(OPEN, ROVER, limits=safety, lease=60.0) as gateway,
+        page(gateway) as client,
+        page(gateway) as other,
+    ):
+
+        async def is_free() -> bool:
+            lease = await other.call("/system/leases", {"do": "acquire", "scope": "/actuator"})
+            return bool(lease["result"])
+
+        await client.send(op="subscribe", topic="/cmd_vel")
+        for id_ in ids:
+            await client.send(op="advertise", topic="/cmd_vel", id=id_)
+        await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": 0.1}})
+        await client.until(
+            lambda m: m.get("topic") == "/cmd_vel" and m["msg"]["linear"]["x"] == 0.1
+        )
+        for id_ in ids[:-1]:
+            await client.send(op="unadvertise", topic="/cmd_vel", id=id_)
+        await client.values("/rosapi/get_time")  # all that was sent before it has been handled
+        assert not await is_free()
+        await client.send(op="unadvertise", topic="/cmd_vel", id=ids[-1])
+        await eventually(is_free, "the lease is released")
+
+
 async def test_a_lease_is_acquired_again_after_a_pause() -> None:
     safety = '[safety]\nlease_required = ["/actuator/**"]\n'
 

@@ -87,6 +87,20 @@ async def test_subscriptions_are_bounded_however_few_topics_they_are_to(client: 
     await client.message("/odom")
 
 
+async def test_advertisements_are_bounded_however_few_topics_they_are_of(client: Page) -> None:
+    for number in range(4097):
+        await client.send(op="advertise", topic="/cmd_vel", id=f"{number}")
+    assert (await client.status("at most"))["id"] == "4096"
+    await client.send(op="advertise", topic="/cmd_vel", id="1")  # again, which takes no room
+    await client.send(op="unadvertise", topic="/cmd_vel", id="0")
+    await client.send(op="advertise", topic="/cmd_vel", id="room")
+    await client.send(op="advertise", topic="/odom", id="none")
+    assert (await client.status("at most"))["id"] == "none"
+    await client.send(op="unadvertise", topic="/cmd_vel")
+    await client.send(op="advertise", topic="/odom", id="odom")
+    assert (await client.status("published by the robot"))["id"] == "odom"
+
+
 @pytest.mark.parametrize(("sent", "told"), BAD)
 async def test_a_bad_operation_is_told_and_the_next_one_works(
     client: Page, sent: str, told: str

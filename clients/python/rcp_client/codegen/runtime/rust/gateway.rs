@@ -25,7 +25,13 @@ impl Gateway {
     where
         F: Fn(&Target) -> io::Result<Box<dyn Stream>> + Send + Sync + 'static,
     {
-        let wrong = || Error::local("bad_request", format!("{} is no address like http://host:8080", url));
+        let wrong = || Error::local("bad_request", format!("{:?} is no address like http://host:8080", url));
+        if !printable(url) {
+            return Err(wrong());
+        }
+        if !printable(token) {
+            return Err(Error::local("bad_request", "a token has no control characters, such as the line break that a file ends with".into()));
+        }
         let (plain, secure) = (url.strip_prefix("http://"), url.strip_prefix("https://"));
         let (authority, prefix) = match plain.or(secure).ok_or_else(wrong)?.split_once('/') {
             Some((authority, path)) => (authority, format!("/{}", path)),
@@ -100,6 +106,11 @@ impl Gateway {
     }
 }
 
+/// Whether a text can be sent in the head of a request without ending its line.
+fn printable(text: &str) -> bool {
+    !text.contains(|letter: char| letter.is_control())
+}
+
 /// Ask again while no answer comes. What may have begun is not refused by a refusal that passes: `begun` says that
 /// it may have before, and each request that is lost says so too.
 fn insist(begun: bool, mut ask: impl FnMut() -> Result<Json, Error>) -> Result<Json, Error> {
@@ -147,7 +158,7 @@ fn decoded(mut reply: Reply) -> Result<Json, Error> {
 fn done(found: Json) -> Result<Json, Error> {
     match found.get("status").as_text() {
         "completed" => Ok(found),
-        status => Err(Error::local("connection_lost", format!("it is {}, and nothing has confirmed it", status))),
+        status => Err(Error::local("bad_response", format!("the gateway answered `{}`, not `completed`", status))),
     }
 }
 
