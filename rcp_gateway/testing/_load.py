@@ -19,8 +19,8 @@ class Load:
     lost = 0.0
     """Seconds by which it woke late, or in which it had work and no processor."""
 
-    def allows(self, bound: float, most: float) -> float:
-        """Return a bound, longer by what was lost, but by no more than `most` seconds."""
+    def allows(self, bound: float, most: float = 0.5) -> float:
+        """Return a bound, longer by what was lost, but by no more than `most`."""
         return bound + min(self.lost, most)
 
 

@@ -62,13 +62,7 @@ class StopSuite(InterleavingTests):
         async with self._in(SITUATIONS[situation], tmp_path) as (case, robot):
             reply = await self._stop(case, robot, scope)
             await case.after(reply)
-            with measured_load() as load:
-                began = time.monotonic()
-                await eventually(self.at_rest, "at rest", self.stop_within)
-                await self._confirmed()
-                took = time.monotonic() - began
-            allowed = load.allows(self.stop_within, self.stop_within)
-            assert took < allowed, f"confirmed after {took:.2f} s, allowed are {allowed:.2f} s"
+            await self._confirmed_in_time()
             await self._stays_at_rest(case, robot)
             await case.end()
 
@@ -105,6 +99,16 @@ class StopSuite(InterleavingTests):
             assert reply["status"] == "failed", reply
             assert reply["error"]["code"] == "device_timeout", reply
         return reply
+
+    async def _confirmed_in_time(self) -> None:
+        """See it at rest and confirmed within `stop_within`."""
+        with measured_load() as load:
+            began = time.monotonic()
+            await eventually(self.at_rest, "at rest", self.stop_within)
+            await self._confirmed()
+            took = time.monotonic() - began
+        allowed = load.allows(self.stop_within, self.stop_within)
+        assert took < allowed, f"confirmed after {took:.2f} s, allowed are {allowed:.2f} s"
 
     async def _confirmed(self) -> None:
         """Wait until the gateway confirms that the device is at rest."""

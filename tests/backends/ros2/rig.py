@@ -21,10 +21,7 @@ MAP: dict[str, Any] = {
 EXPOSE = ["/odom"]
 CREEP = 0.1  # m/s that a command which slips in between two zeros may give the wheels
 SLIP = 0.4  # m/s: the same, where a zero comes late
-LATE = (
-    0.02,
-    0.005,
-)  # m/s that this and the mean may be more for each time that the machine is slower
+LATE = (0.05, 0.02)  # m/s that this and the mean may be more at most, where the machine is busy
 WINDOW = 1.5  # s for which they are looked at
 
 
