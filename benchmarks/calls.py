@@ -2,7 +2,8 @@
 
 Run: python benchmarks/calls.py [KIND…] [--list]. What a reader of the code has to follow is what this
 counts, from the frame to the last reply: functions of this repository, on the event loop's thread.
-`--list` shows them in their order. The clocks stand still, so that no turn of the loop is over early.
+`--list` shows them in their order; `--bare` leaves out the features that are on by default (audit, guard
+and so on). The clocks stand still, so that no turn of the loop is over early.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ ROOT = str(Path(__file__).resolve().parents[1])
 ELSEWHERE = (f"{ROOT}/.venv", f"{ROOT}/benchmarks")
 WARM = 5
 TURNS = 8  # of the loop after the last reply, in which the rest of the request is done
+BARE = "[features]\naudit = false\nguard = false\n"
 ANYBODY = '[anonymous]\nrole = "operator"\n'
 
 
@@ -74,12 +76,12 @@ class Client(WSListener):
             self.done.set()
 
 
-async def walk(kind: str) -> Walk:
+async def walk(kind: str, features: str) -> Walk:
     """Walk through one request of a gateway that has answered some already."""
     Bench.execute = execute  # pyright: ignore[reportAttributeAccessIssue]
     with tempfile.TemporaryDirectory() as folder:
         kept = STORE.format(folder) if kind.startswith("kept") else ""
-        async with gateway(ANYBODY + kept) as (robot, url):
+        async with gateway(features + ANYBODY + kept) as (robot, url):
             about = {"input": float, "output": float, "feedback": float}
             robot.host.declare(Resource(name="action/count", description="Counts.", **about))
             place = url.replace("http", "ws", 1) + "/rcp/v1/ws"
@@ -100,9 +102,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", default=tuple(ASKED), metavar="KIND")
     parser.add_argument("--list", action="store_true")
+    parser.add_argument("--bare", action="store_true")
     asked = parser.parse_args()
     for kind in asked.kinds:
-        calls = uvloop.run(walk(kind)).calls
+        calls = uvloop.run(walk(kind, BARE if asked.bare else "")).calls
         if asked.list:
             for depth, name, place in calls:
                 print(f"{'  ' * depth}{name}  {place}")

@@ -23,7 +23,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from rcp_recordings.names import ACTIVE
 
-__all__ = ["Record", "Recording", "Track", "messages", "open_recordings"]
+__all__ = ["Gap", "Record", "Recording", "Track", "messages", "open_recordings", "records"]
 
 _HEAD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
@@ -52,6 +52,16 @@ class Record(NamedTuple):
     seq: int
     track: Track
     data: bytes
+
+
+class Gap(NamedTuple):
+    """A part that cannot be read."""
+
+    start: int
+    """Time of its first message, ns."""
+    end: int
+    """Time of its last message, ns."""
+    error: Exception
 
 
 class _Chunk(NamedTuple):
@@ -209,30 +219,63 @@ def messages(
 ) -> Iterator[Record]:
     """Iterate over messages in the order of `log_time`, from `start` until before `end`.
 
-    What several recordings have of a resource is returned once.
+    What several recordings have of a resource is returned once. What cannot be read ends it with
+    the error of that, after all that is before it.
     """
-    chunks: list[tuple[int, int, _Chunk, Recording, dict[int, Track]]] = []
-    for recording in recordings:
-        tracks = {number: track for number, track in recording.tracks.items() if wanted(track)}
-        for chunk in recording.chunks:
-            if (
-                chunk.start < end
-                and chunk.end >= start
-                and not tracks.keys().isdisjoint(chunk.indexes)
-            ):
-                chunks.append((chunk.start, len(chunks), chunk, recording, tracks))
-    chunks.sort(key=lambda found: found[:2])
+    for one in records(recordings, wanted, start, end):
+        if isinstance(one, Gap):
+            raise one.error
+        yield one
+
+
+def records(
+    recordings: Iterable[Recording],
+    wanted: Callable[[Track], bool],
+    start: int = 0,
+    end: int = 2**64 - 1,
+) -> Iterator[Record | Gap]:
+    """Iterate as `messages`, with a gap in the place of what cannot be read.
+
+    Parts between which nothing can be read are one gap.
+    """
     waiting: list[tuple[int, int, Record]] = []
     last: dict[str, tuple[int, int, bytes]] = {}
+    gap: Gap | None = None
     count = 0
-    for chunk_start, _, chunk, recording, tracks in chunks:
-        while waiting and waiting[0][0] < chunk_start:
+    for chunk, recording, tracks in _chunks(recordings, wanted, start, end):
+        if gap is not None and waiting and waiting[0][0] < chunk.start:
+            yield gap
+            gap = None
+        while waiting and waiting[0][0] < chunk.start:
             yield from _once(heapq.heappop(waiting)[2], last)
-        for record in recording.read(chunk, tracks, start, end):
-            count += 1
-            heapq.heappush(waiting, (record.log_time, count, record))
+        try:
+            for record in recording.read(chunk, tracks, start, end):
+                count += 1
+                heapq.heappush(waiting, (record.log_time, count, record))
+        except Exception as error:  # decompressors and parsers raise what they like
+            first = Gap(max(chunk.start, start), chunk.end, error) if gap is None else gap
+            gap = first._replace(end=max(first.end, chunk.end))
+    if gap is not None:
+        yield gap
     while waiting:
         yield from _once(heapq.heappop(waiting)[2], last)
+
+
+def _chunks(
+    recordings: Iterable[Recording], wanted: Callable[[Track], bool], start: int, end: int
+) -> list[tuple[_Chunk, Recording, dict[int, Track]]]:
+    """List what has to be read, in the order of time, each with the channels that are wanted."""
+    chunks: list[tuple[_Chunk, Recording, dict[int, Track]]] = []
+    for recording in recordings:
+        tracks = {number: track for number, track in recording.tracks.items() if wanted(track)}
+        chunks.extend(
+            (chunk, recording, tracks)
+            for chunk in recording.chunks
+            if chunk.start < end
+            and chunk.end >= start
+            and not tracks.keys().isdisjoint(chunk.indexes)
+        )
+    return sorted(chunks, key=lambda found: found[0].start)
 
 
 def _once(record: Record, last: dict[str, tuple[int, int, bytes]]) -> Iterator[Record]:

@@ -138,7 +138,7 @@ class PathSubscription:
         self.sent = entry.seq
         """Number of the last sample that the client has or that preceded its subscription: only later
         ones can be missed."""
-        self.heard = 0.0
+        self.heard = float("-inf")
         """Monotonic time of the last sample; only set with a deadline."""
         self.missed = False
         self.marked = False

@@ -40,42 +40,89 @@ def is_time(value: ast.expr) -> bool:
             return False
 
 
-def assigned(target: ast.expr, value: ast.expr) -> Iterator[tuple[str, ast.expr]]:
-    """List the names and attributes that an assignment sets, each with its value."""
+def statements(tree: ast.AST) -> Iterator[tuple[ast.expr, ast.expr]]:
+    """List what is set in a module, each target with its value."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Assign(targets, value):
+                for target in targets:
+                    yield from assigned(target, value)
+            case ast.AnnAssign(target, _, ast.expr() as value):
+                yield from assigned(target, value)
+            case _:
+                pass
+
+
+def assigned(target: ast.expr, value: ast.expr) -> Iterator[tuple[ast.expr, ast.expr]]:
+    """List the targets of an assignment, each with its value."""
     match target, value:
         case ast.Tuple(targets), ast.Tuple(values) if len(targets) == len(values):
             for one, other in zip(targets, values, strict=True):
                 yield from assigned(one, other)
-        case ((ast.Attribute(_, name) | ast.Name(name)), _):
-            yield name, value
         case _:
-            pass
+            yield target, value
 
 
-def zero_marks(source: str) -> set[str]:
-    """Return what a module sets to a time, and to 0.0 elsewhere."""
-    zero, times = set[str](), set[str]()
-    for node in ast.walk(ast.parse(source)):
-        match node:
-            case ast.Assign(targets, value):
-                found = [pair for target in targets for pair in assigned(target, value)]
-            case ast.AnnAssign(target, _, ast.expr() as value):
-                found = [*assigned(target, value)]
+def name_of(target: ast.expr) -> str | None:
+    """Return the name of a variable or of an attribute, whosever it is."""
+    match target:
+        case ast.Attribute(_, name) | ast.Name(name):
+            return name
+        case _:
+            return None
+
+
+def is_zero(value: ast.expr) -> bool:
+    return isinstance(value, ast.Constant) and type(value.value) is float and not value.value
+
+
+def zero_marks(*sources: str) -> list[set[str]]:
+    """Return what begins with 0.0 in each module, or is looked up with that, and is a time.
+
+    A time is set to it in the same module, or in another one to an attribute of that name of an
+    object that is not its own, or to an item of a table of that name.
+    """
+    trees = [ast.parse(source) for source in sources]
+    pairs = [[*statements(tree)] for tree in trees]
+    everywhere, tables = set[str | None](), set[str | None]()
+    for target, value in (pair for of_one in pairs for pair in of_one):
+        match target:
+            case ast.Attribute(ast.Name("self"), _):
+                pass
+            case ast.Attribute(_, name) if is_time(value):
+                everywhere.add(name)
+            case ast.Subscript(table, _) if is_time(value):
+                tables.add(name_of(table))
             case _:
-                continue
-        for name, value in found:
-            if isinstance(value, ast.Constant) and type(value.value) is float and not value.value:
-                zero.add(name)
-            elif is_time(value):
-                times.add(name)
-    return zero & times
+                pass
+    found = list[set[str]]()
+    for tree, of_one in zip(trees, pairs, strict=True):
+        zero = {name_of(target) for target, value in of_one if is_zero(value)}
+        times = {name_of(target) for target, value in of_one if is_time(value)}
+        aliases = {name_of(target) for target, value in of_one if name_of(value) in tables}
+        marks = zero & (times | everywhere)
+        marks |= {name for name in defaulted(tree) if name in tables | aliases}
+        found.append({name for name in marks if name is not None})
+    return found
+
+
+def defaulted(tree: ast.AST) -> Iterator[str | None]:
+    """List the tables from which something is looked up with 0.0 as the default."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(ast.Attribute(table, "get" | "pop" | "setdefault"), [_, default]):
+                if is_zero(default):
+                    yield name_of(table)
+            case _:
+                pass
 
 
 def test_no_mark_begins_with_zero() -> None:
+    marks = zero_marks(*(path.read_text() for path in SOURCES))
     found = [
         f"{path.relative_to(ROOT)}: {name}"
-        for path in SOURCES
-        for name in zero_marks(path.read_text())
+        for path, names in zip(SOURCES, marks, strict=True)
+        for name in names
         if (path.name, name) not in NO_MARKS
     ]
     assert not found, f'let them begin with float("-inf"), or with None: {found}'
@@ -94,4 +141,37 @@ class Link:
         self._told = self.last = time.monotonic()
         self._due = now + 1.0
 """
-    assert zero_marks(source) == {"last", "_seen", "_told", "_at"}
+    assert zero_marks(source) == [{"last", "_seen", "_told", "_at"}]
+
+
+def test_marks_that_another_module_sets_are_recognised() -> None:
+    fields = """
+class State:
+    beat: float = 0.0
+    rest: float = 0.0
+    def __init__(self):
+        self.heard, self.level = 0.0, 0.0
+"""
+    setter = """
+def take(state, now):
+    state.beat = state.heard = now
+    state.rest = now + 1.0
+"""
+    assert zero_marks(fields) == [set()]
+    assert zero_marks(fields, setter) == [{"beat", "heard"}, set()]
+
+
+def test_defaults_of_tables_are_recognised() -> None:
+    table = """
+class Vehicle:
+    def take(self, name, now):
+        self.received_at[name] = now
+        self.later[name] = now + 1.0
+"""
+    reader = """
+def fresh(vehicle, now):
+    received = vehicle.received_at
+    return now - received.get("POSE", 0.0) < 1.0 and now > vehicle.later.get("POSE", 0.0)
+"""
+    assert zero_marks(table, reader) == [set(), {"received"}]
+    assert zero_marks(table, reader.replace('"POSE", 0.0', '"POSE"')) == [set(), set()]

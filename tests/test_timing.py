@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import pytest
 
-from timing import Load, in_one_of_three_attempts, in_time, measured_load
+from timing import Load, in_one_of_three_attempts, in_time, in_time_under, measured_load
 
 pytestmark = pytest.mark.anyio
 
@@ -50,19 +50,34 @@ async def test_what_fails_for_another_reason_fails_at_once() -> None:
     assert tried == [1]
 
 
-def test_a_load_is_how_much_longer_the_slowest_work_took() -> None:
+def test_a_load_adds_what_was_lost_up_to_a_limit() -> None:
     load = Load()
-    assert load.worst == 1.0
-    for took in (0.002, 0.012, 0.004):
-        load.note(took, 0.004)
-    assert load.worst == pytest.approx(3.0)
-    assert load.allows(1.0, 0.5) == pytest.approx(2.0)
+    for lost, bound in ((0.0, 1.0), (0.2, 1.2), (7.0, 1.3)):
+        load.lost = lost
+        assert load.allows(1.0, 0.3) == pytest.approx(bound)
 
 
-def test_the_machines_own_load_is_measured() -> None:
+@pytest.mark.parametrize(("lost", "attempts"), [(0.0, 1), (0.01, 1), (0.1, 3), (9.0, 3)])
+async def test_what_is_late_is_tried_again_only_where_the_machine_was_busy(
+    lost: float, attempts: int
+) -> None:
+    tried: list[int] = []
+    load = Load()
+    load.lost = lost
+
+    @in_one_of_three_attempts
+    async def attempt() -> None:
+        tried.append(1)
+        in_time_under(load, 1.4, 0.7)
+
+    with pytest.raises(AssertionError, match=r"it took 1\.4"):
+        await attempt()
+    assert len(tried) == attempts
+
+
+def test_the_time_lost_to_other_work_is_measured() -> None:
     until = time.monotonic() + 60.0
     with measured_load() as load:
-        while load.worst == 1.0:  # it is never exactly that
+        while not load.lost:  # a thread never wakes without any delay
             assert time.monotonic() < until
             time.sleep(0.001)  # the other thread tells nobody
-    assert load.worst > 1.0

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import functools
-import threading
-import time
-from collections.abc import Awaitable, Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable
 from typing import ParamSpec
 
-__all__ = ["Load", "in_one_of_three_attempts", "in_time", "measured_load"]
+from rcp_gateway.testing._load import Load, measured_load
+
+__all__ = ["Load", "in_one_of_three_attempts", "in_time", "in_time_under", "measured_load"]
 
 _ATTEMPTS = 3
-_WORK = 0.004  # s of the processor that a measurement takes
-_PAUSE = 0.04  # s between two
+_MOST = 0.3  # s that a bound is longer at most, however busy the machine is
+_BUSY = 0.05  # s lost from which on it is worth another attempt
 _Asked = ParamSpec("_Asked")
 
 
@@ -21,46 +20,21 @@ class _LateError(AssertionError):
     """It took too long."""
 
 
-class Load:
-    """How long work takes on a machine that has other work too."""
-
-    worst = 1.0
-    """Its time, by the time that it takes on a machine that has none."""
-
-    def allows(self, bound: float, work: float = 0.2) -> float:
-        """Return a bound that holds some seconds of work, longer by what the load makes of those."""
-        return bound + (self.worst - 1.0) * work
-
-    def note(self, took: float, work: float) -> None:
-        """Note that so many seconds of the processor took so many seconds."""
-        self.worst = max(self.worst, took / work)
-
-
-@contextmanager
-def measured_load() -> Generator[Load]:
-    """Measure the load while entered."""
-    load, over = Load(), threading.Event()
-
-    def measure() -> None:
-        while not over.wait(_PAUSE):
-            began, work = time.perf_counter(), time.thread_time()
-            while (done := time.thread_time() - work) < _WORK:
-                pass
-            load.note(time.perf_counter() - began, done)
-
-    measuring = threading.Thread(target=measure)
-    measuring.start()
-    try:
-        yield load
-    finally:
-        over.set()
-        measuring.join()
-
-
 def in_time(seconds: float, bound: float) -> None:
     """Have an attempt end if it took too long; whatever else fails ends the test."""
     if seconds >= bound:
         raise _LateError(f"it took {seconds:.3f} s, the bound is {bound:g} s")
+
+
+def in_time_under(load: Load, seconds: float, bound: float) -> None:
+    """Have it take less than the bound and the time that was lost to other programs meanwhile.
+
+    Where they took next to nothing, it is late for its own reasons: that ends the test.
+    """
+    allowed = load.allows(bound, _MOST)
+    if load.lost >= _BUSY:
+        in_time(seconds, allowed)
+    assert seconds < allowed, f"it took {seconds:.3f} s, the bound is {allowed:.3f} s"
 
 
 def in_one_of_three_attempts(

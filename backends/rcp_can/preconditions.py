@@ -40,7 +40,7 @@ def stale(axis: AxisState, now: float) -> Loss | None:
     at, since = axis.status.at, axis.configured_at
     for signal in axis.signals:
         limit = axis.limit_of(signal)
-        if now - max(at.get(signal, 0.0), since) > limit:
+        if now - max(at.get(signal, float("-inf")), since) > limit:
             word = "state" if signal == "enabled" else signal
             text = f"no {word} received for {limit:g} s"
             if now - axis.last_message_at <= limit:

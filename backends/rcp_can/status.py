@@ -50,7 +50,7 @@ class Status:
         self.faults: tuple[Fault, ...] = ()
         self.reached: bool | None = None
         self.homed: bool | None = None
-        self.beat = 0.0
+        self.beat = float("-inf")
         """When it sent its last heartbeat, monotonic time in s."""
         self.moved = 0
         """Counts reports of motion."""

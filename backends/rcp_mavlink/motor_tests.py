@@ -133,14 +133,16 @@ class MotorTests:
         """Tell whether the outputs are back, or the time of the test is over."""
         if time.monotonic() > self._until:
             return True
-        if self._vehicle.received_at.get(_OUTPUTS, 0.0) < since + _SETTLED:
+        if self._vehicle.received_at.get(_OUTPUTS, float("-inf")) < since + _SETTLED:
             return False
         return all(n - b < _CHANGED for n, b in zip(self._outputs(), before, strict=True))
 
     async def _first_outputs(self) -> list[int]:
         since = time.monotonic()
         received = self._vehicle.received_at
-        if not await self._vehicle.until(lambda: received.get(_OUTPUTS, 0.0) >= since, _FIRST):
+        if not await self._vehicle.until(
+            lambda: received.get(_OUTPUTS, float("-inf")) >= since, _FIRST
+        ):
             raise PreconditionFailed(
                 "motor_test: the vehicle does not report its outputs, so the test could not be seen",
                 remedy="Check that it sends SERVO_OUTPUT_RAW: see sensor/servos.",

@@ -143,10 +143,14 @@ class Origins:
         with suppress(RcpError):
             await self._intervals.request(name)
             await self._vehicle.until(
-                lambda: self._vehicle.received_at.get(name, 0.0) >= since, _WAIT
+                lambda: self._vehicle.received_at.get(name, float("-inf")) >= since, _WAIT
             )
         self._vehicle.check()
-        return self._read(name) if self._vehicle.received_at.get(name, 0.0) >= since else None
+        return (
+            self._read(name)
+            if self._vehicle.received_at.get(name, float("-inf")) >= since
+            else None
+        )
 
     async def _reported(self, name: str, what: str, wanted: Geographic | None) -> Geographic:
         """Return what the vehicle reports from now on.
@@ -156,7 +160,7 @@ class Origins:
         since = time.monotonic()
 
         def holds() -> bool:
-            fresh = self._vehicle.received_at.get(name, 0.0) >= since
+            fresh = self._vehicle.received_at.get(name, float("-inf")) >= since
             return fresh and (wanted is None or _same(self._read(name), wanted))
 
         with suppress(RcpError):

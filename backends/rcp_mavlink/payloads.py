@@ -123,7 +123,7 @@ class Payloads:
         vehicle, since = self._vehicle, time.monotonic()
 
         def shown() -> bool:
-            fresh = vehicle.received_at.get(message, 0.0) >= since
+            fresh = vehicle.received_at.get(message, float("-inf")) >= since
             return fresh and holds(vehicle.latest[message].fields())
 
         release = self._intervals.want(message, _REPORTS)

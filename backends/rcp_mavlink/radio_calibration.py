@@ -143,8 +143,10 @@ class RadioCalibration:
 
     async def _first(self) -> None:
         received = self._vehicle.received_at
-        since = received.get(_CHANNELS, 0.0)
-        fresh = await self._vehicle.until(lambda: received.get(_CHANNELS, 0.0) > since, _WAIT)
+        since = received.get(_CHANNELS, float("-inf"))
+        fresh = await self._vehicle.until(
+            lambda: received.get(_CHANNELS, float("-inf")) > since, _WAIT
+        )
         if not fresh or not self._now():
             raise AdapterUnavailable(
                 "calibrate radio: the vehicle reports no pulses of a remote control",

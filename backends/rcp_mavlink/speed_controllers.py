@@ -131,7 +131,7 @@ class SpeedControllers:
         return tuple(name for name in self._messages if name in self._seen)
 
     def _came(self, name: str, since: float) -> bool:
-        return self._vehicle.received_at.get(name, 0.0) >= since
+        return self._vehicle.received_at.get(name, float("-inf")) >= since
 
     @asynccontextmanager
     async def watched(self, rate: float) -> AsyncGenerator[None]:

@@ -143,7 +143,9 @@ class Telemetry:
             await self._intervals.request(message)
         for message in messages:
             fresh = await self._vehicle.until(
-                lambda message=message: self._vehicle.received_at.get(message, 0.0) >= since,
+                lambda message=message: (
+                    self._vehicle.received_at.get(message, float("-inf")) >= since
+                ),
                 self._hub.config.timeout,
             )
             if not fresh:

@@ -120,7 +120,9 @@ class Winches:
     async def _line(self) -> float:
         since = time.monotonic()
         received = self._vehicle.received_at
-        if not await self._vehicle.until(lambda: received.get(_STATUS, 0.0) >= since, _FIRST):
+        if not await self._vehicle.until(
+            lambda: received.get(_STATUS, float("-inf")) >= since, _FIRST
+        ):
             raise PreconditionFailed(
                 "winch: the vehicle reports no winch",
                 remedy="Check that it has one and sends WINCH_STATUS: see sensor/winch.",

@@ -15,16 +15,18 @@ from rcp_kernel.clock import iso, parse_time
 from rcp_kernel.errors import ConfigError, InvalidValue, UnsupportedOperation
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, RobotFacts
-from rcp_recordings.reading import Record, Recording, open_recordings
+from rcp_recordings.reading import Gap, Record, Recording, open_recordings
 from rcp_replay.config import ReplayConfig, found
 from rcp_replay.messages import ReplayRequest, ReplayState
 from rcp_replay.player import Player
+from rcp_replay.problems import Problems
 from rcp_replay.tracks import Played, played
 
 __all__ = ["ReplayBackend", "open_replay"]
 
 log = structlog.get_logger("rcp.replay")
 _SERVICE, _STATE = "service/replay", "sensor/replay"
+_FILES = "recordings"
 _PERIOD = 1.0  # s between two reports of the position
 _NS = 1_000_000_000
 
@@ -32,8 +34,9 @@ _NS = 1_000_000_000
 class ReplayBackend(BaseBackend):
     """Plays a recording."""
 
-    def __init__(self, host: Host, player: Player, files: list[Path]) -> None:
+    def __init__(self, host: Host, player: Player, files: list[Path], problems: Problems) -> None:
         self._host = host
+        self._problems = problems
         self._files = tuple(file.name for file in files)
         self.player = player
 
@@ -57,6 +60,20 @@ class ReplayBackend(BaseBackend):
     def report(self) -> None:
         """Publish where it is."""
         self._host.publish(_STATE, self.state())
+
+    def jumped(self) -> None:
+        """Publish where it is after its time was set."""
+        self._problems.end(_FILES)
+        self.report()
+
+    def interrupted(self, gap: Gap) -> None:
+        """Report that it has paused where a part cannot be read."""
+        self._problems.begin(
+            _FILES,
+            f"the recording cannot be read from {iso(gap.start)} until {iso(gap.end)}: {gap.error}. "
+            f"Play on, seek to {iso(gap.end + 1)}, or repair the file with `mcap recover`",
+        )
+        self.report()
 
     async def read(self, name: str) -> Any:
         """Return the state; all else is only published."""
@@ -105,21 +122,26 @@ async def open_replay(config: ReplayConfig, host: Host) -> AsyncGenerator[Replay
         tracks = _tracks(recordings)
         if not tracks:
             raise ConfigError("replay: nothing in the files was recorded by a gateway")
+        problems = Problems(host.report)
         player = Player(
             recordings,
             lambda track: id(track.channel) in tracks,
-            _publisher(host, tracks),
+            _publisher(host, tracks, problems),
             speed=config.speed,
             loop=config.loop,
             paused=config.paused,
         )
-        backend = ReplayBackend(host, player, files)
+        backend = ReplayBackend(host, player, files, problems)
         host.describe(RobotFacts(kind="replay", model=", ".join(f.name for f in files)[:200]))
         declared = {one.resource.name: one.resource for one in tracks.values()}
         host.declare(*declared.values(), *_own())
         backend.report()
-        player.on_jump = backend.report
-        tasks = [asyncio.ensure_future(_play(player, host)), asyncio.ensure_future(_tell(backend))]
+        player.on_jump = backend.jumped
+        player.on_gap = backend.interrupted
+        tasks = [
+            asyncio.ensure_future(_play(player, problems)),
+            asyncio.ensure_future(_tell(backend)),
+        ]
         try:
             yield backend
         finally:
@@ -131,17 +153,14 @@ async def open_replay(config: ReplayConfig, host: Host) -> AsyncGenerator[Replay
             player.close()
 
 
-async def _play(player: Player, host: Host) -> None:
+async def _play(player: Player, problems: Problems) -> None:
     while True:
         try:
             await player.run()
-        except Exception as error:  # whatever the file has that is no recording
+        except Exception as error:  # what a damaged message, which could be read, has done here
             log.exception("replay_interrupted")
-            player.change(paused=True)  # until somebody seeks to what can be read
-            host.report(
-                f"the recording cannot be read further: {error}. Seek beyond that, repair it with "
-                "`mcap recover`, or leave it out"
-            )
+            player.change(paused=True)  # until somebody plays on
+            problems.begin(_FILES, f"a message cannot be played: {error}. Play on")
 
 
 def _tracks(recordings: list[Recording]) -> dict[int, Played]:
@@ -154,15 +173,20 @@ def _tracks(recordings: list[Recording]) -> dict[int, Played]:
     return found
 
 
-def _publisher(host: Host, tracks: dict[int, Played]) -> Callable[[Record], None]:
+def _publisher(
+    host: Host, tracks: dict[int, Played], problems: Problems
+) -> Callable[[Record], None]:
     def publish(record: Record) -> None:
         one = tracks[id(record.track.channel)]
+        name = one.resource.name
         try:
             value = one.value(record)
         except ValueError as error:
-            host.report(f"a message of {one.resource.name} cannot be decoded: {error}")
+            problems.begin(name, f"a message of {name} cannot be decoded: {error}")
             return
-        host.publish(one.resource.name, value, record.publish_time)
+        host.publish(name, value, record.publish_time)
+        problems.end(name)
+        problems.end(_FILES)
 
     return publish
 

@@ -7,11 +7,11 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import structlog
 
-from rcp_recordings.reading import Record, Recording, Track, messages
+from rcp_recordings.reading import Gap, Record, Recording, Track, records
 
 __all__ = ["Player"]
 
@@ -21,6 +21,7 @@ _TURN = 64  # records published before others have the event loop
 _BACK = 64  # chunks searched for what was the case at a moment
 _NS = 1_000_000_000
 _SHORTEST = 0.05  # s that one round of a loop takes at least, however short the recording is
+_Read = TypeVar("_Read", bound=Record | Gap)
 
 
 class Player:
@@ -50,11 +51,13 @@ class Player:
         """How often its time was set: by a seek, or to begin again."""
         self.on_jump: Callable[[], None] = lambda: None
         """Called when its time was set, before anything of then is published, and at the end."""
+        self.on_gap: Callable[[Gap], None] = lambda _: None
+        """Called when it has paused where a part cannot be read; playing on passes over that."""
         self._position = self.start
         self._since: float | None = None
         """Time of the loop at `_position`, while the recording's time goes on."""
-        self._records: Iterator[Record] = iter(())
-        self._ready: deque[Record] = deque()
+        self._records: Iterator[Record | Gap] = iter(())
+        self._ready: deque[Record | Gap] = deque()
         self._changed = asyncio.Event()
         self._reader = ThreadPoolExecutor(1, "replay")
         """One reads at a time: a seek that is cancelled has its thread go on for a moment."""
@@ -103,15 +106,24 @@ class Player:
                 if record is None:
                     self.ended = True
                     break
+                if isinstance(record, Gap):
+                    self._pause_at(record)
+                    break
                 self._send(record)
                 self._position = record.log_time
         self._changed.set()
 
     async def play_to(self, moment: int) -> None:
-        """Publish everything up to a moment at once, and pause: for tests, which need not wait."""
+        """Publish everything up to a moment at once, and pause: for tests, which need not wait.
+
+        :raises Exception: a part cannot be read; what is before it was published.
+        """
         self.change(paused=True)
         async with self._turn:
             while (record := await self._next()) is not None:
+                if isinstance(record, Gap):
+                    self._pause_at(record)
+                    raise record.error
                 if record.log_time > moment:
                     self._ready.appendleft(record)
                     break
@@ -149,15 +161,25 @@ class Player:
                 record = await self._next()
                 if record is None:
                     return self._finish()
-                due = record.log_time - self.position
+                due = _time(record) - self.position
                 if due > 0 and not self.paused:
                     self._ready.appendleft(record)
                     return due / _NS / self.speed
                 if self.paused:
                     self._ready.appendleft(record)
                     return 0
+                if isinstance(record, Gap):
+                    self._pause_at(record)
+                    return 0
                 self._send(record)
         return 0
+
+    def _pause_at(self, gap: Gap) -> None:
+        self._since = None
+        self._position = gap.start
+        self.paused = True
+        log.warning("replay_part_unreadable", error=str(gap.error))
+        self.on_gap(gap)
 
     def _finish(self) -> float | None:
         """Begin again, or end; return the seconds until it goes on."""
@@ -189,14 +211,14 @@ class Player:
         self._already = self.published
         self.ended = False
         self._ready.clear()
-        self._records = messages(self._recordings, self._wanted, moment)
+        self._records = records(self._recordings, self._wanted, moment)
 
-    async def _next(self) -> Record | None:
+    async def _next(self) -> Record | Gap | None:
         if not self._ready:
             self._ready.extend(await self._read_by(self._read))
         return self._ready.popleft() if self._ready else None
 
-    async def _read_by(self, read: Callable[..., list[Record]], *arguments: int) -> list[Record]:
+    async def _read_by(self, read: Callable[..., list[_Read]], *arguments: int) -> list[_Read]:
         loop = asyncio.get_running_loop()
         return await loop.run_in_executor(self._reader, read, *arguments)
 
@@ -204,7 +226,7 @@ class Player:
         """Read no more."""
         self._reader.shutdown(wait=False, cancel_futures=True)
 
-    def _read(self) -> list[Record]:
+    def _read(self) -> list[Record | Gap]:
         return list(islice(self._records, _AHEAD))
 
     def _before(self, moment: int) -> list[Record]:
@@ -233,3 +255,7 @@ class Player:
                 continue
             found |= last
         return sorted(found.values(), key=lambda record: record.log_time)
+
+
+def _time(one: Record | Gap) -> int:
+    return one.start if isinstance(one, Gap) else one.log_time

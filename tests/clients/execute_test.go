@@ -76,6 +76,23 @@ func TestACommandOfAContextThatHasEndedIsNotSent(t *testing.T) {
 	}
 }
 
+func TestATokenOrAKeyWithALineBreakIsRefusedAtOnce(t *testing.T) {
+	var asked atomic.Int32
+	server := httptest.NewServer(http.HandlerFunc(func(http.ResponseWriter, *http.Request) { asked.Add(1) }))
+	defer server.Close()
+	began := time.Now()
+	for _, one := range [][2]string{{"key\n", ""}, {"", "order-1\r\nAuthorization: Bearer other"}} {
+		var refused *Error
+		_, err := drive.Execute(WithKey(context.Background(), one[1]), New(server.URL, one[0]), nil)
+		if !errors.As(err, &refused) || refused.Code != "bad_request" {
+			t.Errorf("ended: %v", err)
+		}
+	}
+	if asked.Load() > 0 || time.Since(began) > stopping/2 {
+		t.Errorf("it was asked %d times, in %v", asked.Load(), time.Since(began))
+	}
+}
+
 func TestACommandIsFollowedThoughAConnectionIsLost(t *testing.T) {
 	ctx, end := context.WithTimeout(context.Background(), patience)
 	defer end()

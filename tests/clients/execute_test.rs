@@ -153,6 +153,17 @@ fn a_key_cannot_add_headers() {
     assert_eq!(refused.code, "bad_request");
 }
 
+#[test]
+fn a_token_or_an_address_cannot_add_headers() {
+    let over = |url: &str, token: &str| rcp::Gateway::over(url, token, |target| Ok(Box::new(target.tcp()?))).err().map(|error| error.code);
+    let new = |url: &str, token: &str| rcp::Gateway::new(url, token).err().map(|error| error.code);
+    for (url, token) in [("http://r", "key\n"), ("http://r", "key\r\nX: 1"), ("http://r\r\nX: 1", "key"), ("http://r/a\n", "key")] {
+        assert_eq!(new(url, token).as_deref(), Some("bad_request"), "{:?}", (url, token));
+        assert_eq!(over(url, token).as_deref(), Some("bad_request"), "{:?}", (url, token));
+    }
+    assert_eq!(new("http://r", "key"), None);
+}
+
 const HELD: &str = r#"{"status": "completed", "body": {"lease": "lease-1"}}"#;
 
 #[test]

@@ -90,7 +90,7 @@ class OdriveDrive(Drive):
     @property
     def beats(self) -> float | None:
         """Several of its periods, which are 100 ms by default."""
-        return _BEATS if self.status.beat else None
+        return _BEATS if self.status.beat > float("-inf") else None
 
     @property
     def busy(self) -> bool:

@@ -130,11 +130,6 @@ export class Client<T extends Catalogue = Untyped> {
     return reply;
   }
 
-  /** The gateway's time, so that a command that was delayed on the way is refused where its path is strict. */
-  #stamp(): string {
-    return new Date(this.clock.now()).toISOString();
-  }
-
   /** Read a value; of a pattern the list of all items, however many pages they fill. */
   async read<P extends Paths<T["values"]>>(path: P, options: ReadOptions = {}): Promise<Reading<Of<T["values"], P>>> {
     let whole: Reply | undefined;
@@ -215,9 +210,11 @@ export class Client<T extends Catalogue = Untyped> {
     return (await this.#ask({ type: "execute", path: PLANS, body, ...this.#command(checked) })).body.steps as PlannedStep[];
   }
 
+  /** What comes with a command; its time, so that one that was delayed on the way is refused where its path is strict. */
   #command(options: CommandOptions): Partial<Request> {
+    const timestamp = this.session.stamp();
     return {
-      timestamp: this.#stamp(),
+      ...(timestamp !== undefined && { timestamp }),
       ...(options.dryRun && { dry_run: true }),
       ...(options.deadline !== undefined && { deadline: options.deadline }),
       ...(options.idempotencyKey !== undefined && { idempotency_key: options.idempotencyKey }),

@@ -15,6 +15,7 @@ export class Clock {
   /** Seconds of the last round trip; undefined before the first. */
   latency: number | undefined;
   #trips: { took: number; offset: number }[] = [];
+  /** ms that `Date.now` was ahead of `steady` at the last round trip. */
   #apart = 0;
   /** Seconds to add to `steady` to have the gateway's time. */
   #ahead = 0;
@@ -26,12 +27,11 @@ export class Clock {
 
   /** Take a round trip: `sent` and `came` by `steady`, `told` by the gateway in between. */
   measure(sent: number, came: number, told: string): void {
-    const apart = Date.now() - steady();
-    if (Math.abs(apart - this.#apart) > SET) this.#trips = []; // earlier ones may be of before a sleep
-    this.#apart = apart;
     const took = (came - sent) / 1000;
     const offset = (Date.parse(told) - (sent + came) / 2) / 1000;
     if (!Number.isFinite(offset)) return;
+    if (!this.known) this.#trips = []; // they may be of before a sleep
+    this.#apart = Date.now() - steady();
     this.latency = took;
     this.#trips.push({ took, offset });
     if (this.#trips.length > KEPT) this.#trips.shift();
@@ -44,9 +44,15 @@ export class Clock {
     this.latency = undefined;
   }
 
-  /** The gateway's time in ms since the epoch. */
+  /** Whether the time is as it was measured: not after this machine's clock was set or stood in its sleep, until a round trip. */
+  get known(): boolean {
+    return Math.abs(Date.now() - steady() - this.#apart) <= SET;
+  }
+
+  /** The gateway's time in ms since the epoch; where it is not `known`, by the clock of this machine that tells of more. */
   now(): number {
-    return steady() + this.#ahead * 1000;
+    const asleep = this.known ? 0 : Math.max(0, Date.now() - steady() - this.#apart);
+    return steady() + asleep + this.#ahead * 1000;
   }
 
   /** Seconds since a timestamp of the gateway, never below 0. */
@@ -59,6 +65,16 @@ export class Clock {
 export class Moment {
   readonly wall = Date.now();
   readonly #steady = performance.now();
+
+  /** By `steady`, ms since the epoch. */
+  get steady(): number {
+    return performance.timeOrigin + this.#steady;
+  }
+
+  /** Whether a clock was set or stood since then. */
+  get torn(): boolean {
+    return Math.abs(Date.now() - this.wall - (performance.now() - this.#steady)) > SET;
+  }
 
   /** ms since then, by the clock that tells of more. */
   get passed(): number {

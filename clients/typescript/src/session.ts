@@ -126,6 +126,17 @@ export class Session {
   check(): void {
     if (this.state === "open" && this.#heard.passed > SILENCE) this.#link?.close("nothing was heard for long");
     if (this.state === "waiting" && this.#link === undefined) this.hurry();
+    if (!this.clock.known) this.#ping();
+  }
+
+  /**
+   * The gateway's time for a command that is made now, undefined where it is not known. After a sleep that is until the
+   * next round trip, which begins at once: a guess would have the gateway refuse what is of now as stale.
+   */
+  stamp(): string | undefined {
+    if (this.clock.known) return new Date(this.clock.now()).toISOString();
+    if (this.#pinged === undefined || this.#pinged.torn) this.#ping();
+    return undefined;
   }
 
   /** Cut the connection as a lost network would: the session goes on. */
@@ -221,7 +232,7 @@ export class Session {
       body["resume_token"] = this.hello.resume_token;
       body["resume_from"] = this.#seen();
     }
-    const sent = steady();
+    const sent = new Moment();
     const reply = await new Promise<Reply>((resolve) => {
       const id = this.newId("hello");
       const request: Waiting["request"] = { type: "hello", id, body };
@@ -230,7 +241,7 @@ export class Session {
     });
     if (link !== this.#link) return;
     if (reply.error) return this.#refused(link, new RcpError(reply.error), resuming);
-    if (reply.timestamp) this.clock.measure(sent, steady(), reply.timestamp);
+    this.#measure(sent, reply);
     clearTimeout(this.#opening);
     this.hello = reply.body as Hello;
     this.problem = undefined;
@@ -333,16 +344,16 @@ export class Session {
     const link = this.#link;
     if (link === undefined || this.state !== "open") return;
     if (this.#pinged && Math.min(this.#pinged.passed, this.#heard.passed) > SILENCE) return link.close("the gateway does not answer any more");
-    const sent = steady();
+    const sent = new Moment();
     if (this.#pinged !== undefined) this.onchange?.();
-    this.#pinged ??= new Moment();
+    this.#pinged ??= sent;
     const id = this.newId("ping");
     const request: Waiting["request"] = { type: "ping", id };
     this.#waiting.set(id, {
       request,
       take: (reply) => {
         this.#pinged = undefined;
-        if (reply.timestamp) this.clock.measure(sent, steady(), reply.timestamp);
+        this.#measure(sent, reply);
         this.#backoff.reset(); // it holds: one that is cut as soon as it stands is not tried ever faster
         this.onchange?.();
         return true;
@@ -353,6 +364,11 @@ export class Session {
       answered: false,
     });
     link.send(request);
+  }
+
+  /** Take a round trip. One that this machine slept in tells nothing: the answer may have lain here all the while. */
+  #measure(sent: Moment, reply: Reply): void {
+    if (reply.timestamp && !sent.torn) this.clock.measure(sent.steady, steady(), reply.timestamp);
   }
 
   // -- what comes in ------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { afterEach, test } from "node:test";
 
-import { Clock } from "../src/clock.ts";
+import { Clock, Moment } from "../src/clock.ts";
 import { Client, ConnectionLost, Lease, RcpError, type Step, type Update } from "../src/index.ts";
 import { msgpack } from "../src/msgpack.ts";
 
@@ -64,6 +64,48 @@ test("what was measured before this machine slept is forgotten", () => {
     assert.equal(Math.round((clock.now() - performance.timeOrigin - performance.now()) / 1000), 60);
   } finally {
     Date.now = wall;
+  }
+});
+
+test("after a sleep nothing is young, and no command is of before it", () => {
+  const clock = new Clock();
+  const sent = performance.timeOrigin + performance.now();
+  clock.measure(sent, sent + 2, new Date(sent + 1).toISOString());
+  const sample = new Date(clock.now()).toISOString();
+  const before = new Moment();
+  const wall = Date.now;
+  try {
+    assert.ok(clock.known && !before.torn);
+    Date.now = () => wall() + 28_800_000; // the other clock stood for eight hours
+    assert.ok(!clock.known, "there was no round trip since");
+    assert.ok(before.torn, "an answer to what was sent before tells nothing");
+    assert.ok(Math.abs(clock.age(sample) - 28_800) < 1, `it is of before the sleep: ${clock.age(sample)}`);
+    clock.measure(sent, sent + 2, "nothing that is a time");
+    assert.ok(!clock.known);
+    const now = performance.timeOrigin + performance.now();
+    clock.measure(now - 2, now, new Date(wall() + 28_800_000).toISOString());
+    assert.ok(clock.known && Math.abs(clock.age(sample) - 28_800) < 1);
+  } finally {
+    Date.now = wall;
+  }
+});
+
+test("the first command after a sleep is not stale, and the next ones tell their time again", async () => {
+  const client = new Client({ url, token, tenant: "alpha", ping: 3600, ...codec });
+  open.push(client);
+  await client.connect();
+  const stood = performance.now;
+  try {
+    assert.ok(client.session.stamp(), "hello was a round trip");
+    performance.now = () => stood.call(performance) - 60_000;
+    const first = client.write("/actuator/cmd_vel", { linear: { x: 0 }, angular: { z: 0 } });
+    assert.equal(client.session.stamp(), undefined);
+    await first;
+    await until(() => client.clock.known, "a ping that does not wait for its turn");
+    const stamp = Date.parse(client.session.stamp() as string);
+    assert.ok(Math.abs(stamp - Date.now()) < 1000, "of now by both clocks, as this machine has the gateway's");
+  } finally {
+    performance.now = stood;
   }
 });
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any, ClassVar
 import pytest
 
 from rcp_gateway.testing._client import Message
+from rcp_gateway.testing._load import measured_load
 from rcp_gateway.testing._suite import BOUND, eventually
 from rcp_gateway.testing.backend._base import Robot
 from rcp_gateway.testing.stop._attempts import Attempts
@@ -39,7 +41,8 @@ class StopSuite(InterleavingTests):
     """
 
     stop_within: ClassVar[float] = 3.0
-    """Seconds from the request until the device is at rest, with the link whole."""
+    """Seconds until the device is at rest and that is confirmed, with the link whole; a busy machine
+    is given up to twice as many, by what its other work takes."""
     stays: ClassVar[float] = _STAYS
     """Seconds for which all clients try to move it after the stop."""
     distant: ClassVar[bool] = False
@@ -59,8 +62,13 @@ class StopSuite(InterleavingTests):
         async with self._in(SITUATIONS[situation], tmp_path) as (case, robot):
             reply = await self._stop(case, robot, scope)
             await case.after(reply)
-            await eventually(self.at_rest, "at rest", self.stop_within)
-            await self._confirmed(robot)
+            with measured_load() as load:
+                began = time.monotonic()
+                await eventually(self.at_rest, "at rest", self.stop_within)
+                await self._confirmed()
+                took = time.monotonic() - began
+            allowed = load.allows(self.stop_within, self.stop_within)
+            assert took < allowed, f"confirmed after {took:.2f} s, allowed are {allowed:.2f} s"
             await self._stays_at_rest(case, robot)
             await case.end()
 
@@ -98,7 +106,7 @@ class StopSuite(InterleavingTests):
             assert reply["error"]["code"] == "device_timeout", reply
         return reply
 
-    async def _confirmed(self, robot: Robot) -> None:
+    async def _confirmed(self) -> None:
         """Wait until the gateway confirms that the device is at rest."""
         admin = self.admin()
 
@@ -108,7 +116,7 @@ class StopSuite(InterleavingTests):
             assert robots, "nothing is latched"
             return all(robot["state"] == "confirmed" for robot in robots.values())
 
-        await eventually(confirmed, "the stop is confirmed", BOUND + self.stop_within)
+        await eventually(confirmed, "the stop is confirmed", BOUND)
         await admin.close()
 
     async def _stays_at_rest(self, case: Situation, robot: Robot) -> None:

@@ -18,10 +18,11 @@ import pytest
 
 from backends.can.peers import drive_eds
 from backends.can.rig import MOTORS, Motor, Node, channel, motor, opened
+from backends.can.test_gateway_gone import turn
 from backends.can.test_joints import arm
 from rcp_can.axis_state import Loss
 from rcp_can.config_motor import MotorConfig
-from rcp_can.sim import Bench, make_twin
+from rcp_can.sim import Bench, Plant, make_twin
 from rcp_kernel.contract.fence import permitted
 from rcp_kernel.errors import (
     AdapterUnavailable,
@@ -227,22 +228,42 @@ def rpdo(control: int, mode: int = 3) -> bytes:
     return bytes((control, 0, mode)) + bytes(4)
 
 
-async def test_another_master_that_enables_a_stopped_drive_moves_it_for_a_moment_only() -> None:
+BY: dict[str, tuple[bool, Callable[[Motor], None]]] = {
+    "axis": (True, lambda _rig: None),
+    "kernel": (False, lambda rig: rig.backend.hold_stop(None)),
+}
+"""Who stops a drive again that another master moves, each without the other: the backend's own look after
+what is latched, and what the kernel calls for as long as it is."""
+by_either = pytest.mark.parametrize("by", BY)
+
+
+@by_either
+async def test_another_master_that_enables_a_stopped_drive_moves_it_for_a_moment_only(
+    by: str,
+) -> None:
     async with motor("cia402") as rig:
         await turns(rig)
         await rig.backend.halt()
-        rig.host.latched = True
+        rig.host.latched, stop_again = BY[by]
         with Node(rig.channel) as node:
             for _ in range(6):
                 taken = len(rig.twin.commands)
+                await rig.until(lambda: not rig.axis.stopping)
                 node.send(0x205, rpdo(0x0F))  # out of quick stop active (CiA 402-2, transition 16)
                 node.send(0x305, (3000).to_bytes(4, "little") + bytes(2))
                 await rig.until(lambda n=taken: len(rig.twin.commands) > n)
-                rig.backend.hold_stop(None)
-                await rig.until(lambda: rig.twin.state == "quick_stop")
+                await rig.until(lambda: stop_again(rig) or rig.twin.state == "quick_stop")
             await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await stays_at_rest(rig)
         assert rig.twin.state != "enabled"
+
+
+PUSHED: Any = ("velocity", 3.0)
+
+
+def pushed(plant: Plant) -> None:
+    """Turn for good, as another master orders."""
+    plant.loop, plant.goal = PUSHED
 
 
 @pytest.mark.parametrize("profile", ["odrive", "mit", "moteus"])
@@ -251,11 +272,30 @@ async def test_a_drive_that_another_master_pushes_is_stopped_again(profile: str)
         await turns(rig)
         await rig.backend.halt()
         rig.host.latched = True
-        await rig.until(lambda: not rig.axis.stopping)
         for _ in range(3):
-            await rig.ordered(lambda: setattr(rig.twin.plant, "velocity", 3.0))
-            rig.backend.hold_stop(None)
+            await rig.until(lambda: not rig.axis.stopping)
+            await rig.ordered(lambda: pushed(rig.twin.plant))
+            plant = rig.twin.plant
+            await rig.until(lambda p=plant: (p.loop, p.goal) != PUSHED)
             await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
+        await stays_at_rest(rig)
+
+
+@pytest.mark.parametrize("profile", ["odrive", "damiao", "moteus"])
+async def test_a_drive_that_another_master_powers_and_pushes_is_cut_off_again(
+    profile: str,
+) -> None:
+    async with motor(profile, torque_off_after=0.1) as rig:
+        await turns(rig)
+        await rig.backend.halt()
+        for _ in range(3):
+            await rig.until(lambda: rig.axis.released and rig.twin.plant.loop == "off")
+            await rig.host.published_as("sensor/m/state", energised=False)
+            await rig.ordered(lambda: (turn(rig.twin), pushed(rig.twin.plant)))
+            await rig.host.published_as("sensor/m/state", energised=True)
+            assert rig.twin.plant.velocity > 0.0
+            await rig.until(lambda: rig.backend.hold_stop(None) or rig.twin.plant.loop == "off")
+        await rig.until(lambda: abs(rig.twin.plant.velocity) < 0.1)
         await stays_at_rest(rig)
 
 

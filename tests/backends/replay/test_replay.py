@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import hurry
 from backends.replay.recorded import written
 from configuration import backend, key
 from hurry import Hurried
-from rcp_gateway.testing import MemoryClient, serve
+from rcp_gateway.testing import MemoryClient, eventually, serve
 from rcp_kernel.errors import ConfigError
 from rcp_replay import rcp_backends
 from rcp_replay.config import ReplayConfig, check
@@ -163,23 +163,92 @@ def test_a_configuration_without_files_is_refused(
         check(ReplayConfig(tuple(files)))
 
 
-async def test_a_damaged_part_is_told_and_what_follows_it_is_played(tmp_path: Path) -> None:
-    file = written(tmp_path, 300)
-    data = bytearray(file.read_bytes())
-    middle = data.index(b"\x28\xb5\x2f\xfd", len(data) // 4)  # the second of three chunks
-    data[middle : middle + 100] = bytes(100)
-    file.write_bytes(data)
+class TestADamagedPart:
+    """The second of the three chunks of a recording: what is before and after it is played."""
+
+    @pytest.fixture
+    def file(self, tmp_path: Path) -> Path:
+        file = written(tmp_path, 300)
+        data = bytearray(file.read_bytes())
+        middle = data.index(b"\x28\xb5\x2f\xfd", len(data) // 4)
+        data[middle : middle + 100] = bytes(100)
+        file.write_bytes(data)
+        return file
+
+    async def test_it_pauses_there_and_a_seek_goes_beyond(self, file: Path) -> None:
+        async with _damaged(file) as (client, seen):
+            told = await _paused_at_the_gap(client)
+            assert await _values(seen, 1000) == list(range(1000))
+            assert (await control(client))["elapsed"] == pytest.approx(100.0)
+            beyond = told.partition("seek to ")[2].partition(",")[0]
+            await control(client, seek=beyond, paused=False)
+            found = await _values(seen, 1001)
+            assert found == [999, *range(2000, 3000)]  # the last before it, and what follows
+            await _state_of_backend(client, "ready")
+
+    async def test_playing_on_passes_over_it(self, file: Path) -> None:
+        async with _damaged(file) as (client, seen):
+            await _paused_at_the_gap(client)
+            await _values(seen, 1000)
+            await control(client, paused=False)
+            assert await _values(seen, 1000) == list(range(2000, 3000))
+            await _state_of_backend(client, "ready")
+
+    async def test_a_seek_ends_the_report(self, file: Path) -> None:
+        async with _damaged(file) as (client, _):
+            await _paused_at_the_gap(client)
+            await control(client, seek=0.0)
+            await _state_of_backend(client, "ready")
+
+    async def test_steps_end_there(self, file: Path) -> None:
+        async with _damaged(file, paused=True) as (client, seen):
+            await control(client, step=10_000)
+            await _state_of_backend(client, "degraded")
+            assert await _values(seen, 1000) == list(range(1000))
+            await control(client, step=1)
+            assert await _values(seen, 1) == [2000]
+
+    async def test_a_fixture_says_so(self, file: Path) -> None:
+        async with replayed(file) as replay:
+            with pytest.raises(Exception, match="frame header"):
+                await replay.play_to()
+            path = "/tenant/replay/sensor/speed"
+            assert (await replay.client.request("read", path))["body"] == 999
+
+
+@asynccontextmanager
+async def _damaged(
+    file: Path, *, paused: bool = False
+) -> AsyncGenerator[tuple[MemoryClient, Callable[[], Awaitable[Any]]]]:
     async with playing(file, paused=True) as client:
-        state = "/tenant/then/sensor/replay"
-        id_ = await client.subscribe(state, initial=False)
-        await control(client, speed=1000.0, paused=False)
+        qos = {"reliability": "reliable", "depth": 30_000}
+        id_ = await client.subscribe(SPEED, qos=qos, initial=False)
 
-        async def is_at(wanted: str) -> None:
-            async with asyncio.timeout(BOUND):
-                while (await client.update(id_))["body"]["state"] != wanted:
-                    pass
+        async def following() -> Any:
+            return (await client.update(id_))["body"]
 
-        await is_at("playing")
-        await is_at("paused")
-        await control(client, seek=290.0, paused=False, speed=1000.0)
-        await is_at("ended")
+        await control(client, speed=1000.0, paused=paused)
+        yield client, following
+
+
+async def _values(following: Callable[[], Awaitable[Any]], count: int) -> list[Any]:
+    async with asyncio.timeout(BOUND):
+        return [await following() for _ in range(count)]
+
+
+async def _state_of_backend(client: MemoryClient, wanted: str) -> str:
+    found: dict[str, Any] = {}
+
+    async def is_so() -> bool:
+        status = await client.request("read", "/system/status")
+        (found["backend"],) = status["body"]["backends"]
+        return found["backend"]["state"] == wanted
+
+    await eventually(is_so, f"the backend is {wanted}")
+    return found["backend"].get("detail") or ""
+
+
+async def _paused_at_the_gap(client: MemoryClient) -> str:
+    told = await _state_of_backend(client, "degraded")
+    assert (await control(client))["state"] == "paused"
+    return told

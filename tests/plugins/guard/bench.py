@@ -12,13 +12,12 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from timing import Load, measured_load
-
 SOON = "[safety]\nguard_bound = 1.0\n"  # or each test would wait for its guard to end
 HERE = Path(__file__).parent
 BOUND = 90.0  # s that any wait of a test may take: three processes start, on a busy machine
 AFTER = 0.5  # s, the default of `guard_after`
 WITHIN = AFTER + 0.2  # s in which a device is to be told to stop
+SEEN = 0.2  # s in which it is to be told where the gateway's process ended
 
 
 class Child:
@@ -102,14 +101,9 @@ async def child(script: str, *arguments: str) -> AsyncGenerator[Child]:
 class Bench:
     """A gateway that drives a device, with a guard."""
 
-    def __init__(self, device: Child, gateway: Child, load: Load) -> None:
+    def __init__(self, device: Child, gateway: Child) -> None:
         self.device = device
         self.gateway = gateway
-        self.load = load
-
-    def allows(self, bound: float) -> float:
-        """Return a bound on the guard's time, longer by what the machine's other work makes of it."""
-        return self.load.allows(bound)
 
     async def guard(self, state: str = "ready", **wanted: Any) -> dict[str, Any]:
         """Wait until the guard is in a state, and other facts as wanted; return all about it."""
@@ -174,8 +168,7 @@ async def bench(
         asked = {"plan": plan(port), "port": port, "more": more}
         async with child("gateway.py", json.dumps(asked)) as gateway:
             await gateway.until(lambda fact: "ready" in fact)
-            with measured_load() as load:
-                yield Bench(robot, gateway, load)
+            yield Bench(robot, gateway)
 
 
 async def until(holds: Callable[[], Awaitable[bool]]) -> None:

@@ -11,17 +11,20 @@ from typing import Any
 
 import pytest
 
-from plugins.guard.bench import AFTER, SOON, WITHIN, Bench, bench, by_udp, child, gone, lives
-from timing import in_one_of_three_attempts, in_time
+from plugins.guard.bench import SEEN, SOON, WITHIN, Bench, bench, by_udp, child, gone, lives
+from timing import Load, in_one_of_three_attempts, in_time_under, measured_load
 
 pytestmark = [pytest.mark.anyio, pytest.mark.paired]
 FREEZES = ("SIGSTOP", "SIGKILL", "loop", "gil", "regex")
 
 
-async def told(scene: Bench, how: str, by: str = "udp") -> float:
-    """Freeze the gateway; return the seconds until the device was told to stop."""
-    at = await scene.freeze(how)
-    return await scene.stopped(by) - at
+async def told(scene: Bench, how: str, by: str = "udp") -> tuple[float, Load]:
+    """Freeze the gateway; return the seconds until the device was told to stop, and their load."""
+    with measured_load() as load:
+        at = await scene.freeze(how)
+        seconds = await scene.stopped(by) - at
+    print(f"{by}, {how}: told to stop after {seconds:.3f} s, {load.lost:.3f} s lost")  # noqa: T201 - the measured time
+    return seconds, load
 
 
 @pytest.mark.parametrize("how", FREEZES)
@@ -30,34 +33,41 @@ async def test_a_gateway_that_stands_still_has_its_robot_stopped(how: str) -> No
     async with bench(by_udp) as scene:
         await scene.guard()
         await scene.drive()
-        seconds = await told(scene, how)
-        print(f"{how}: told to stop after {seconds:.3f} s")  # noqa: T201 - the measured time
-        in_time(seconds, scene.allows(WITHIN))
+        seconds, load = await told(scene, how)
+        in_time_under(load, seconds, WITHIN)
         if how == "SIGKILL":
-            in_time(seconds, scene.allows(AFTER))  # the end of the process is seen at once
+            in_time_under(load, seconds, SEEN)  # the end of the process is seen at once
 
 
+@in_one_of_three_attempts
 async def test_stops_are_repeated_up_to_the_bound_and_the_guard_then_ends() -> None:
     async with bench(by_udp, "[safety]\nguard_bound = 1.5\n") as scene:
         pid = (await scene.guard())["pid"]
         await scene.drive()
-        await scene.freeze("SIGKILL")
-        await gone(pid)
+        with measured_load() as load:
+            await scene.freeze("SIGKILL")
+            await gone(pid)
         times = [fact["at"] for fact in scene.stops()]
-        assert 5 <= len(times) <= 31  # every 50 ms, but for those that a busy machine leaves out
-        assert 1.0 < times[-1] - times[0] < scene.allows(1.8)
+        span = times[-1] - times[0]
+        assert len(times) <= 31  # every 50 ms for 1.5 s
+        in_time_under(load, (31 - len(times)) * 0.05, 0.5)  # left out, or come later
+        in_time_under(load, 1.5 - span, 0.2)
+        in_time_under(load, span, 1.6)
 
 
+@in_one_of_three_attempts
 async def test_a_service_manager_that_ends_all_processes_still_gets_the_robot_stopped() -> None:
     async with bench(by_udp, "") as scene:
         pid = (await scene.guard())["pid"]
         await scene.drive()
-        await scene.freeze("SIGKILL")
-        for number in (signal.SIGTERM, signal.SIGABRT, signal.SIGHUP, signal.SIGINT):
-            os.kill(pid, number)
-        await gone(pid)
+        with measured_load() as load:
+            await scene.freeze("SIGKILL")
+            for number in (signal.SIGTERM, signal.SIGABRT, signal.SIGHUP, signal.SIGINT):
+                os.kill(pid, number)
+            await gone(pid)
         times = [fact["at"] for fact in scene.stops()]
-        assert 0.8 < times[-1] - times[0] < scene.allows(2.0)
+        in_time_under(load, 1.0 - (times[-1] - times[0]), 0.2)
+        in_time_under(load, times[-1] - times[0], 1.2)
 
 
 async def test_signals_to_the_gateways_group_do_not_reach_the_guard() -> None:
@@ -83,10 +93,12 @@ async def test_a_frozen_loop_under_a_latch_has_its_robot_kept_stopped() -> None:
 async def test_a_loop_that_freezes_in_the_first_write_is_covered() -> None:
     async with bench(by_udp) as scene:
         await scene.guard()
-        scene.gateway.say(do="drive_and_hang")
-        frozen = await scene.gateway.until(lambda fact: "frozen" in fact)
-        await scene.device.until(lambda fact: fact.get("velocity") == 1.0)
-        in_time(await scene.stopped() - frozen["at"], scene.allows(WITHIN))
+        with measured_load() as load:
+            scene.gateway.say(do="drive_and_hang")
+            frozen = await scene.gateway.until(lambda fact: "frozen" in fact)
+            await scene.device.until(lambda fact: fact.get("velocity") == 1.0)
+            stopped = await scene.stopped()
+        in_time_under(load, stopped - frozen["at"], WITHIN)
 
 
 async def test_after_a_freeze_the_gateway_rests_the_robot_and_says_so() -> None:
@@ -154,12 +166,12 @@ async def quiet(scene: Bench, seconds: float = 1.0) -> None:
 
 
 async def test_a_loop_that_is_only_late_triggers_nothing() -> None:
-    # By much less than the guard tolerates: a busy machine adds to it.
-    async with bench(by_udp, "[safety]\nguard_after = 4.0\nguard_bound = 1.0\n") as scene:
+    # By 60 % of what the guard tolerates, of so many seconds that a busy machine adds no 40 %.
+    async with bench(by_udp, "[safety]\nguard_after = 3.0\nguard_bound = 1.0\n") as scene:
         await scene.guard()
         await scene.drive()
         for _ in range(2):
-            await scene.gateway.ask("frozen", do="hang", how="loop 0.8")
+            await scene.gateway.ask("frozen", do="hang", how="loop 1.8")
             await scene.gateway.ask("guard", do="guard")
         await asyncio.sleep(1.0)
         assert scene.stops() == []
@@ -205,7 +217,8 @@ async def test_a_guard_that_dies_is_started_again_and_does_its_work() -> None:
         os.kill(pid, signal.SIGKILL)
         facts = await scene.other_guard(pid)
         assert "guard_ended" in facts["warnings"]
-        in_time(await told(scene, "SIGSTOP"), scene.allows(WITHIN))
+        seconds, load = await told(scene, "SIGSTOP")
+        in_time_under(load, seconds, WITHIN)
 
 
 @in_one_of_three_attempts
@@ -216,7 +229,8 @@ async def test_a_guard_that_hangs_is_started_again() -> None:
         await scene.other_guard(pid)
         assert not lives(pid)
         await scene.drive()
-        in_time(await told(scene, "SIGSTOP"), scene.allows(WITHIN))
+        seconds, load = await told(scene, "SIGSTOP")
+        in_time_under(load, seconds, WITHIN)
 
 
 @in_one_of_three_attempts
@@ -230,7 +244,7 @@ async def test_a_gateway_that_is_started_again_is_not_hindered_by_the_guard_of_t
         port = scene.device.facts[0]["port"]
         asked = {"plan": by_udp(port), "port": port, "more": SOON}
         async with child("gateway.py", json.dumps(asked)) as gateway:
-            again = Bench(scene.device, gateway, scene.load)
+            again = Bench(scene.device, gateway)
             await again.guard()
             await gone(first)
             times = [fact["at"] for fact in scene.stops()]
@@ -238,10 +252,11 @@ async def test_a_gateway_that_is_started_again_is_not_hindered_by_the_guard_of_t
             await again.drive(0.9)
             await asyncio.sleep(0.5)
             assert len(scene.stops()) == len(times)
-            at = await again.freeze("SIGSTOP")
-            since = scene.device.facts.index(scene.stops()[-1]) + 1
-            stop = await scene.device.until(lambda fact: fact.get("told") == "STOP", since)
-            in_time(stop["at"] - at, scene.allows(WITHIN))
+            with measured_load() as load:
+                at = await again.freeze("SIGSTOP")
+                since = scene.device.facts.index(scene.stops()[-1]) + 1
+                stop = await scene.device.until(lambda fact: fact.get("told") == "STOP", since)
+            in_time_under(load, stop["at"] - at, WITHIN)
 
 
 async def test_a_plan_whose_sender_cannot_work_is_a_warning() -> None:
@@ -288,6 +303,5 @@ async def test_can_frames_stop_a_device_on_a_bus(how: str) -> None:
         await scene.device.until(lambda fact: fact.get("by") == "can")
         await scene.guard()
         await scene.drive()
-        seconds = await told(scene, how, "can")
-        print(f"can, {how}: told to stop after {seconds:.3f} s")  # noqa: T201
-        in_time(seconds, scene.allows(WITHIN))
+        seconds, load = await told(scene, how, "can")
+        in_time_under(load, seconds, WITHIN)

@@ -10,6 +10,7 @@ import (
 	"io"
 	"net/http"
 	"strings"
+	"unicode"
 )
 
 // Error is what the gateway refused or failed to do.
@@ -77,6 +78,14 @@ func (g *Gateway) openAs(ctx context.Context, method, path string, body any, hea
 		}
 		content = bytes.NewReader(data)
 	}
+	if !printable(g.token) {
+		return nil, &Error{Code: "bad_request", Message: "a token has no control characters, such as the line break that a file ends with"}
+	}
+	for name, value := range header {
+		if !printable(value) {
+			return nil, &Error{Code: "bad_request", Message: name + " has no control characters"}
+		}
+	}
 	request, err := http.NewRequestWithContext(ctx, method, g.base+path, content)
 	if err != nil {
 		return nil, err
@@ -92,6 +101,9 @@ func (g *Gateway) openAs(ctx context.Context, method, path string, body any, hea
 	}
 	return g.Client.Do(request)
 }
+
+// printable is whether a text can be sent in a header; net/http refuses others with what looks like a lost connection.
+func printable(text string) bool { return strings.IndexFunc(text, unicode.IsControl) < 0 }
 
 func decoded(response *http.Response) (reply, error) {
 	var found reply

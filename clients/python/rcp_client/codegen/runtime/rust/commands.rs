@@ -12,7 +12,7 @@ impl<I: Value, O: Value> Command<I, O> {
     /// its end, and the error is why the lease was lost, with what became of the command.
     pub fn start<'a>(&self, gateway: &'a Gateway, key: &str, input: &I) -> Result<Running<'a, O>, Error> {
         gateway.check()?;
-        if key.contains(|letter: char| letter.is_control()) {
+        if !printable(key) {
             return Err(Error::local("bad_request", "a key has no control characters".into()));
         }
         let header = format!("Idempotency-Key: {}\r\n", key);

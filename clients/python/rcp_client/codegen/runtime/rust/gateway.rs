@@ -25,7 +25,13 @@ impl Gateway {
     where
         F: Fn(&Target) -> io::Result<Box<dyn Stream>> + Send + Sync + 'static,
     {
-        let wrong = || Error::local("bad_request", format!("{} is no address like http://host:8080", url));
+        let wrong = || Error::local("bad_request", format!("{:?} is no address like http://host:8080", url));
+        if !printable(url) {
+            return Err(wrong());
+        }
+        if !printable(token) {
+            return Err(Error::local("bad_request", "a token has no control characters, such as the line break that a file ends with".into()));
+        }
         let (plain, secure) = (url.strip_prefix("http://"), url.strip_prefix("https://"));
         let (authority, prefix) = match plain.or(secure).ok_or_else(wrong)?.split_once('/') {
             Some((authority, path)) => (authority, format!("/{}", path)),
@@ -98,6 +104,11 @@ impl Gateway {
     fn inquire(&self, method: &str, path: &str, begun: bool) -> Result<Json, Error> {
         insist(begun, || decoded(self.open(method, path, None, "", ATTEMPT)?))
     }
+}
+
+/// Whether a text can be sent in the head of a request without ending its line.
+fn printable(text: &str) -> bool {
+    !text.contains(|letter: char| letter.is_control())
 }
 
 /// Ask again while no answer comes. What may have begun is not refused by a refusal that passes: `begun` says that
