@@ -49,7 +49,8 @@ def test_an_executor_gives_a_response_to_what_the_client_says_is_pending(made: A
         end = clock.now().nanoseconds + int(_BOUND * 1e9)
         while sent.response is None and clock.now().nanoseconds < end:
             executor.spin_once(timeout_sec=1.0)
-        assert sent.response.message == "done"
+        response: Any = sent.response
+        assert response.message == "done"
         assert sent.executor is executor
         assert not pending
     finally:
