@@ -429,16 +429,18 @@ async def test_a_thread_that_hangs_is_told_and_what_was_sent_meanwhile_does_not_
 # Opening
 
 
-@pytest.mark.parametrize("content", [None, "<mujoco>", "\0\0\0"])
-async def test_a_missing_or_damaged_model_stops_the_backend_for_good(
-    content: str | None, tmp_path: Path
+@pytest.mark.parametrize(
+    ("content", "state"), [(None, "down"), ("<mujoco>", "failed"), ("\0\0\0", "failed")]
+)
+async def test_a_damaged_model_stops_the_backend_for_good_a_missing_one_until_it_is_there(
+    content: str | None, state: str, tmp_path: Path
 ) -> None:
     file = tmp_path / "model.xml"
     if content is not None:
         file.write_text(content)
     async with serve_backend(KIND, {"model": str(file)}) as served:
         await asyncio.wait_for(served.supervisor.settled.wait(), 60)
-        assert served.supervisor.state == "failed"
+        assert served.supervisor.state == state
         assert str(file) in (served.supervisor.detail or "")
 
 
