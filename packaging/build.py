@@ -332,23 +332,23 @@ def main() -> None:
     parser.add_argument("steps", nargs="*", metavar="STEP", help=", ".join(STEPS))
     parser.add_argument("--partial", action="store_true", help="a release may lack its container")
     given = parser.parse_args()
-    steps, hindrance = list[str](given.steps), None
+    steps, reason = list[str](given.steps), None
     if unknown := [step for step in steps if step not in STEPS]:
         parser.error(f"unknown: {', '.join(unknown)}")
     if not steps:
         shutil.rmtree(DIST, ignore_errors=True)
         builder = _builder()
-        hindrance = None if builder is None else _no_base(builder)
-        steps = [step for step in STEPS if step != "container" or (builder and not hindrance)]
+        reason = None if builder is None else _no_base(builder)
+        steps = [step for step in STEPS if step != "container" or (builder and not reason)]
         if "container" not in steps:
-            why = hindrance or f"none of {', '.join(_BUILDERS)} is installed"
+            why = reason or f"none of {', '.join(_BUILDERS)} is installed"
             print(f"=== no container: {why}", flush=True)
     DIST.mkdir(exist_ok=True)
     for step in steps:
         print(f"=== {step}", flush=True)
         STEPS[step]()
     sums()
-    if hindrance is not None and not given.partial:
+    if reason is not None and not given.partial:
         raise SystemExit("this release has no container: --partial allows that")
 
 

@@ -64,9 +64,8 @@ class StepRequests:
         while True:
             limit = None if left is None else max(end - loop.time(), 0.001)
             request = await self._request(node, step, limit)
-            if (
-                len(bytes(request.body)) > LONG
-            ):  # a plan that ends meanwhile must not write it later
+            # A plan that ends while a long body waits for its turn must not write it later.
+            if len(bytes(request.body)) > LONG:
                 steps = self._host.prepare(self._session, request)
                 request = await self._turns.finish(self._owner, steps)
             reply = await self._ask(node, request, on_progress)
