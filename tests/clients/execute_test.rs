@@ -6,7 +6,7 @@ use std::env::var;
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::channel;
+use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex};
 use std::thread::{scope, spawn, JoinHandle};
 use std::time::{Duration, Instant};
@@ -171,7 +171,7 @@ fn a_connection_of_ones_own_is_told_where_it_leads() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let served = spawn(move || one(&listener, &answer(DONE)));
-    let (told, asked) = channel();
+    let (told, asked) = sync_channel(8);
     let gateway = rcp::Gateway::over("https://robots.example/site/", "key", move |target| {
         told.send((target.host.clone(), target.port)).unwrap();
         let here = rcp::Target { host: address.ip().to_string(), port: address.port(), silence: target.silence };
@@ -185,7 +185,7 @@ fn a_connection_of_ones_own_is_told_where_it_leads() {
 
 #[test]
 fn a_certificate_that_is_wrong_is_told_at_once() {
-    let (told, asked) = channel();
+    let (told, asked) = sync_channel(8);
     let gateway = rcp::Gateway::over("https://[::1]:8443", "", move |target| {
         told.send((target.host.clone(), target.port)).unwrap();
         Err(io::Error::new(io::ErrorKind::InvalidData, "unknown issuer"))
