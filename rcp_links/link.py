@@ -22,6 +22,7 @@ from rcp_links.messages import Messages
 from rcp_links.requests import Request, Requests
 from rcp_links.timing import LinkTiming
 from rcp_protocol.errors import AdapterUnavailable, DeviceTimeout, NotReady
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["LinkHost", "RequestLink", "request_link"]
 
@@ -156,7 +157,7 @@ class RequestLink(Generic[M]):
         silence = self._timing.silence
         async with AsyncExitStack() as stack:
             try:
-                async with asyncio.timeout(silence):
+                async with timeout(silence):
                     channel = await stack.enter_async_context(self._connect())
             except TimeoutError:
                 return f"no connection within {silence:g} s"
@@ -173,7 +174,7 @@ class RequestLink(Generic[M]):
         silence = self._timing.silence
         while True:
             try:
-                async with asyncio.timeout(silence):
+                async with timeout(silence):
                     message = await channel.receive()
             except TimeoutError:
                 return f"no message for {silence:g} s"

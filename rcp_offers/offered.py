@@ -17,6 +17,7 @@ from rcp_protocol.errors import (
     QueueFull,
     RcpError,
 )
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Offered", "Owner"]
 
@@ -79,7 +80,7 @@ class Offered:
         call.cancelled = True
         self._renew()
         try:
-            async with asyncio.timeout(_CANCEL):
+            async with timeout(_CANCEL):
                 return await call.answer
         except TimeoutError:
             raise DeviceTimeout(

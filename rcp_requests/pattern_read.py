@@ -13,6 +13,7 @@ from rcp_kernel.errors import DeadlineExceeded
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.samples import Sample, project
 from rcp_kernel.wire import NO_BODY, error_body
+from rcp_protocol.timeouts import timeout
 from rcp_requests.object_list import ObjectList
 from rcp_scheduling.turns import Turns
 
@@ -52,7 +53,7 @@ class PatternRead:
         It ends after `patience` seconds: values requested but not received by then are reported as
         such; the rest is left to the next page.
         """
-        limit = asyncio.timeout(patience)
+        limit = timeout(patience)
         try:
             async with limit:
                 await self._fill(turns, owner)

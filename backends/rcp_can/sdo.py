@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from rcp_can.bus import Bus, Route
 from rcp_kernel.errors import AdapterUnavailable, DeviceRejected, DeviceTimeout
+from rcp_protocol.timeouts import timeout
 
 if TYPE_CHECKING:
     import can
@@ -192,7 +193,7 @@ class Sdo:
         self._mismatched = False
         try:
             self._bus.send(0x600 + self._node, frame)
-            async with asyncio.timeout(seconds):  # `wait_for` may swallow a cancellation
+            async with timeout(seconds):  # `wait_for` may swallow a cancellation
                 answer = await self._answer
         except TimeoutError:
             now = time.monotonic()

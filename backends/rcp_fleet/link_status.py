@@ -11,6 +11,7 @@ from rcp_fleet.messages import GatewayLink, LinkState
 from rcp_kernel.clock import iso, now
 from rcp_kernel.model import Operation, Resource
 from rcp_kernel.spi import Host, RobotLink
+from rcp_protocol.timeouts import timeout
 from rcp_zenoh.statistics import LinkStatistics
 
 __all__ = ["LinkStatus"]
@@ -140,7 +141,7 @@ class LinkStatus:
             self._changed.clear()
             self._host.publish(self.name, self.value())
             try:
-                async with asyncio.timeout(period):
+                async with timeout(period):
                     await self._changed.wait()
             except TimeoutError:
                 pass

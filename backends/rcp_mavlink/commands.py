@@ -25,6 +25,7 @@ from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.refusals import silent_reason
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Command", "Commands", "mode_command"]
 
@@ -154,7 +155,7 @@ class Commands:
             late = self._orphans.pop(command.number, 0.0) - time.monotonic()
             if late > 0:  # it would be mistaken for the reply to this command
                 with suppress(TimeoutError):
-                    async with asyncio.timeout(late):
+                    async with timeout(late):
                         await answers.get()
             self._orphans[command.number] = time.monotonic() + config.timeout
             running, attempt = False, 0
@@ -196,7 +197,7 @@ class Commands:
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             with suppress(TimeoutError):
-                async with asyncio.timeout(min(left, _LOOK)):
+                async with timeout(min(left, _LOOK)):
                     return await answers.get()
             self._vehicle.check()
         return None

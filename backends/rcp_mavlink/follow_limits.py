@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 import time
 from contextlib import suppress
@@ -17,6 +16,7 @@ from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.plans import FENCE, Plans
 from rcp_mavlink.speeds import SpeedLimit
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["FollowLimits", "LimitWatch"]
 
@@ -170,7 +170,7 @@ class FollowLimits:
         """
         parameters = self._parameters
         with suppress(TimeoutError):
-            async with asyncio.timeout(_LISTING):
+            async with timeout(_LISTING):
                 await parameters.list()
         if not parameters.complete.is_set():
             raise PreconditionFailed(

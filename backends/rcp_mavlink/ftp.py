@@ -20,6 +20,7 @@ from rcp_mavlink.frames import Frame
 from rcp_mavlink.gaps import Gaps
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["PIECE", "Ftp", "Op", "Reply"]
 
@@ -247,7 +248,7 @@ class Ftp:
             while not over and gaps.first() is not None:
                 arrived.clear()
                 try:
-                    async with asyncio.timeout(self._hub.config.timeout):
+                    async with timeout(self._hub.config.timeout):
                         await arrived.wait()
                 except TimeoutError:
                     self._seq = (self._seq + _LATE) & 0xFFFF

@@ -20,6 +20,7 @@ from rcp_mavlink.signing import Signing, key_of
 from rcp_mavlink.texts import Texts
 from rcp_mavlink.twins import STARTING, orders
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Hub", "open_hub"]
 
@@ -197,7 +198,7 @@ class Hub:
         :raises NotReady: no vehicle connects in time.
         """
         try:
-            async with asyncio.timeout(self._patience):
+            async with timeout(self._patience):
                 await self._first.wait()
         except TimeoutError:
             which = (

@@ -12,6 +12,7 @@ from rcp_kernel.spi import Progress
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["LogPiece", "LogRange", "Logs", "OnBoard"]
 
@@ -95,7 +96,7 @@ class Logs:
         """
         arrived.clear()
         try:
-            async with asyncio.timeout(self._hub.config.timeout):
+            async with timeout(self._hub.config.timeout):
                 await arrived.wait()
         except TimeoutError:
             self._vehicle.check()

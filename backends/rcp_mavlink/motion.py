@@ -23,6 +23,7 @@ from rcp_mavlink.commands import Command, Commands, mode_command
 from rcp_mavlink.measurement import AT_REST, Measurement
 from rcp_mavlink.stop import PAUSE_PX4
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Motion", "unanswered"]
 
@@ -199,7 +200,7 @@ class Motion:
         self.parting.add(task)
         task.add_done_callback(self._parted)
         try:
-            async with asyncio.timeout(_HOLDING):
+            async with timeout(_HOLDING):
                 await asyncio.shield(task)
         except EstopActive:
             return  # a stop is already under way

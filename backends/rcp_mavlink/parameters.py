@@ -15,6 +15,7 @@ from rcp_mavlink.hub import Hub
 from rcp_mavlink.paramcoding import REAL, bounds, decoded, param_set
 from rcp_mavlink.parameter_hazards import check_sent
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Parameter", "Parameters"]
 
@@ -101,7 +102,7 @@ class Parameters:
             self._last = time.monotonic()
             while time.monotonic() - self._last < _QUIET:
                 try:
-                    async with asyncio.timeout(_QUIET):
+                    async with timeout(_QUIET):
                         await self.complete.wait()
                 except TimeoutError:
                     continue

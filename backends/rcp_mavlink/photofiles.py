@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 import struct
 from typing import NamedTuple
@@ -12,6 +11,7 @@ from rcp_mavlink import messages as m
 from rcp_mavlink.files import Files
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["PhotoFiles"]
 
@@ -50,7 +50,7 @@ class PhotoFiles:
         if source not in _COMPONENTS:
             return Fetched(None, f"not transferred: there is no component {source}")
         try:
-            async with asyncio.timeout(_PATIENCE):
+            async with timeout(_PATIENCE):
                 data = await self._files(source).fetch(found[2], _MOST)
             size = _dimensions(data)
         except TimeoutError:

@@ -17,6 +17,7 @@ from rcp_mavlink.messages import Item
 from rcp_mavlink.plan_files import Names
 from rcp_mavlink.terrain import check_offered
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["FENCE", "MISSION", "RALLY", "Plans"]
 
@@ -276,7 +277,7 @@ class Plans:
             self._hub.send(self._vehicle, request)
         for tries in range(config.retries + 1):
             try:
-                async with asyncio.timeout(config.timeout):
+                async with timeout(config.timeout):
                     while True:
                         name, fields = await received.get()
                         if fields.get("mission_type", 0) != kind:

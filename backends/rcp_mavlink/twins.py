@@ -11,6 +11,7 @@ import msgspec
 
 from rcp_mavlink.config import LinkSpec, MavlinkConfig
 from rcp_mavlink.signing import key_of
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["STARTING", "keep_twin", "orders"]
 
@@ -67,7 +68,7 @@ async def _end(process: asyncio.subprocess.Process) -> None:
     assert process.stdin is not None
     process.stdin.close()
     try:
-        async with asyncio.timeout(_PATIENCE):
+        async with timeout(_PATIENCE):
             await process.wait()
     except TimeoutError:
         with suppress(ProcessLookupError):

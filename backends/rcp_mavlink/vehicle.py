@@ -14,6 +14,7 @@ from rcp_links import Lateness
 from rcp_mavlink.dialect import Dialect
 from rcp_mavlink.flightmodes import Family, family
 from rcp_mavlink.frames import Frame
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Fix", "Text", "Vehicle"]
 
@@ -243,7 +244,7 @@ class Vehicle:
         entry = (holds, waiter)
         self._waiters.append(entry)
         try:
-            async with asyncio.timeout(seconds):
+            async with timeout(seconds):
                 await waiter
         except TimeoutError:
             return False

@@ -31,6 +31,7 @@ from rcp_mujoco.messages import Reset, SimulationState
 from rcp_mujoco.model_types import given
 from rcp_mujoco.resources import Catalogue, camera_resources, catalogue
 from rcp_mujoco.robot import Robot
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["MujocoBackend", "open_robot"]
 
@@ -310,7 +311,7 @@ class MujocoBackend(BaseBackend):
         device = self.device
         number = device.snapshot.number
         try:
-            async with asyncio.timeout(_HALT):
+            async with timeout(_HALT):
                 await device.waiting.until(lambda: device.snapshot.number > number)
                 await device.waiting.until(
                     lambda: device.snapshot.at_rest or self._hindrance() is not None

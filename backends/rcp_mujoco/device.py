@@ -17,6 +17,7 @@ from rcp_mujoco.robot import Robot
 from rcp_mujoco.stepper import Budget, Job, Pace, Stepper
 from rcp_mujoco.waiting import Waiting
 from rcp_profiles.messages import Image
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Device"]
 
@@ -196,7 +197,7 @@ class Device:
 
         self.stepper.submit(Job(act, done, lambda: not future.done()))
         try:
-            async with asyncio.timeout(_ANSWER):
+            async with timeout(_ANSWER):
                 return await future
         except TimeoutError:
             text = f"the stepping thread has not answered for {_ANSWER:g} s"
@@ -246,7 +247,7 @@ class Device:
 
         await self.do(lambda robot: self._ask(robot, camera, done))
         try:
-            async with asyncio.timeout(_ANSWER):
+            async with timeout(_ANSWER):
                 return await future
         except TimeoutError:
             raise DeviceTimeout("no picture was drawn in time") from None

@@ -24,6 +24,7 @@ import structlog
 
 from rcp_kernel.errors import DeviceTimeout, RcpError
 from rcp_offers import Offered
+from rcp_protocol.timeouts import timeout
 from rcp_ros2.cdr import Codec
 from rcp_ros2.filler import filler
 from rcp_ros2.idl import fields_of
@@ -239,7 +240,7 @@ class ServiceServer:
     async def _carry_out(self, request: Any, header: Any) -> None:
         outcome: Outcome
         try:
-            async with asyncio.timeout(_PATIENCE):
+            async with timeout(_PATIENCE):
                 outcome = await self._offered.call(request, _no_report), None
         except RcpError as error:
             outcome = None, error.message

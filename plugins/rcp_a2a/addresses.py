@@ -15,6 +15,7 @@ import msgspec
 
 from rcp_a2a.config import PushConfig
 from rcp_kernel.errors import ConfigError
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Addresses", "Judged", "Unfit", "Unknown"]
 
@@ -97,7 +98,7 @@ class Addresses:
     async def _look_up(self, name: str, port: int) -> Address:
         loop = asyncio.get_running_loop()
         try:
-            async with asyncio.timeout(_LOOKUP):
+            async with timeout(_LOOKUP):
                 found = await loop.getaddrinfo(name, port, type=socket.SOCK_STREAM)
         except (OSError, UnicodeError, TimeoutError) as error:
             raise Unknown("the URL's host cannot be resolved") from error

@@ -14,6 +14,7 @@ from a2a.types.a2a_pb2 import SendMessageRequest, Task
 from a2a.utils.errors import InvalidParamsError, UnsupportedOperationError
 
 from rcp_gateway.api import PluginStore
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Receipt", "Receipts", "key_of"]
 
@@ -75,7 +76,7 @@ class Receipts:
             if receipt.taken.is_set():
                 return receipt
             try:
-                async with asyncio.timeout(_PATIENCE):
+                async with timeout(_PATIENCE):
                     await receipt.taken.wait()
             except TimeoutError:
                 raise UnsupportedOperationError(

@@ -33,6 +33,7 @@ from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import Forbidden, RcpError, UnknownPath
 from rcp_kernel.features.approval import APPROVALS, NoApprovals
 from rcp_kernel.wire import Reply, Request
+from rcp_protocol.timeouts import timeout
 from rcp_web.untrusted import TextMarker, robot_said
 
 __all__ = ["Run"]
@@ -215,7 +216,7 @@ class Run:
             if passing and not final:
                 self._urgent.clear()
                 with suppress(TimeoutError):
-                    async with asyncio.timeout(_PACE):
+                    async with timeout(_PACE):
                         await self._urgent.wait()
 
     async def _report_step(self, reply: Reply) -> None:

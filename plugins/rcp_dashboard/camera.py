@@ -21,6 +21,7 @@ from rcp_kernel.clock import now, parse_time
 from rcp_kernel.errors import QueueFull, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request, encode_reply
+from rcp_protocol.timeouts import timeout
 from rcp_web.application import response
 from rcp_web.asgi import Headers, Receive, Send, until_gone
 
@@ -189,7 +190,7 @@ class Stream:
             return True
         self._taken = now() if self._taken is None else self._taken
         try:
-            async with asyncio.timeout(self._taken + STALLED - now()):
+            async with timeout(self._taken + STALLED - now()):
                 await self._woken.wait()
         except TimeoutError:
             self._out.abort()

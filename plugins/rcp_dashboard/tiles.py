@@ -15,6 +15,7 @@ from litestar import get
 from litestar.types import ASGIApp
 
 from rcp_kernel.errors import ConfigError, RcpError, UnknownPath
+from rcp_protocol.timeouts import timeout
 from rcp_web.application import Application, WebRequest, response, scope_of
 from rcp_web.asgi import Headers, Scope, header, until_gone
 from rcp_web.ranges import byte_range, range_headers
@@ -104,7 +105,7 @@ def _streamed(status: int, headers: Headers, file: FileIO, start: int, stop: int
                     async for piece in pieces:
                         if gone.done():  # a listener takes what nobody reads, as fast as it comes
                             return
-                        async with asyncio.timeout(_STALLED):
+                        async with timeout(_STALLED):
                             body = {"type": "http.response.body", "body": piece, "more_body": True}
                             await send(body)
             finally:

@@ -20,6 +20,7 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
 from rcp_mavlink.forwarding import asks_only
 from rcp_mavlink.frames import Frame, rebuilt
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Pilot"]
 
@@ -111,7 +112,7 @@ class Pilot:
                 await self._safely(self._keep())
             self._room.clear()
             try:
-                async with asyncio.timeout(_RENEW):
+                async with timeout(_RENEW):
                     await self._room.wait()
             except TimeoutError:
                 await self._safely(self._keep())

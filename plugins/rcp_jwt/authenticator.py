@@ -15,6 +15,7 @@ from rcp_jwt.webtokens import is_jwt
 from rcp_kernel.access.authenticator import Authenticator, TokenIssuer
 from rcp_kernel.clock import Clock
 from rcp_kernel.contract.identity import Principal
+from rcp_protocol.timeouts import timeout
 from rcp_store.plugin_store import PluginStore
 
 __all__ = ["JwtAuthenticator"]
@@ -73,7 +74,7 @@ class JwtAuthenticator(Authenticator):
         """Wait for the keys of issuers with logins: one of them may have been withdrawn meanwhile."""
         found = [one for name, one in self._issuers.issuers.items() if name in names]
         with suppress(TimeoutError):
-            async with asyncio.timeout(_START):
+            async with timeout(_START):
                 await asyncio.gather(*[issuer.ask() for issuer in found])
 
     def reconfigure(self, tables: JwtTables) -> None:

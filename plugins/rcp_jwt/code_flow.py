@@ -37,6 +37,7 @@ from rcp_kernel.errors import (
     UnknownPath,
 )
 from rcp_protocol.plain import is_map
+from rcp_protocol.timeouts import timeout
 from rcp_web.oidc import Begun, IssuerLink, Parameters, Returned, Started
 from rcp_web.own_page import is_same_origin
 
@@ -195,7 +196,7 @@ class CodeFlow:
     async def _turn(self, name: str) -> AsyncGenerator[None]:
         """Wait until few enough codes are being exchanged."""
         try:
-            async with asyncio.timeout(_QUEUED):
+            async with timeout(_QUEUED):
                 await self._exchanges.acquire()
         except TimeoutError:
             raise _unavailable(name, "too many people log in at once") from None

@@ -18,6 +18,8 @@ from urllib.parse import urlsplit
 
 import msgspec
 
+from rcp_protocol.timeouts import timeout
+
 __all__ = ["Answer", "Unreachable", "fetch", "post", "read_document"]
 
 _LONGEST = 512 * 1024  # bytes of a document
@@ -92,7 +94,7 @@ async def _answer(call: _Call) -> Answer:
 
     threading.Thread(target=work, name="rcp-fetch", daemon=True).start()
     try:
-        async with asyncio.timeout(_PATIENCE):
+        async with timeout(_PATIENCE):
             return await done
     except TimeoutError:
         raise Unreachable(f"no complete answer within {_PATIENCE:g} s") from None

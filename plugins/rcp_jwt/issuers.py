@@ -30,6 +30,7 @@ from rcp_jwt.webtokens import Read, check_id_token, needed_claims, principal_of,
 from rcp_kernel.clock import Clock, iso
 from rcp_kernel.contract.identity import Principal, fingerprint
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, RcpError, Unauthenticated
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Issuer", "Issuers", "source_of"]
 
@@ -159,7 +160,7 @@ class Issuer:
             self._conclude()
             self._round = loop.create_future()
             with suppress(TimeoutError):
-                async with asyncio.timeout(self._pause()):
+                async with timeout(self._pause()):
                     await self._wanted.wait()
             await asyncio.sleep(max(0.0, self._began + _GAP - loop.time()))
 

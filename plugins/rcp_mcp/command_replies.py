@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from rcp_gateway.api import Session
 from rcp_gateway.client_api import ClientApi
 from rcp_kernel.wire import Reply, Request
+from rcp_protocol.timeouts import timeout_at
 
 __all__ = ["Following", "Report"]
 
@@ -59,7 +60,7 @@ class Following:
         while self.final is None:
             self._news.clear()
             try:
-                async with asyncio.timeout_at(end):
+                async with timeout_at(end):
                     await self._news.wait()
                     if self.final is None and loop.time() < free:
                         await self._pause(free - loop.time())
@@ -77,7 +78,7 @@ class Following:
         while self.final is None:
             self._news.clear()
             try:
-                async with asyncio.timeout_at(end):
+                async with timeout_at(end):
                     await self._news.wait()
             except TimeoutError:
                 return

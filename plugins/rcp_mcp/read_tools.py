@@ -24,6 +24,7 @@ from rcp_mcp.provenance import is_own
 from rcp_mcp.schemas import without_defaults, worded
 from rcp_mcp.summary import PER_TOKEN, cut, size
 from rcp_mcp.typed import is_read_only
+from rcp_protocol.timeouts import timeout
 from rcp_web.untrusted import speaks
 
 __all__ = ["ReadTools"]
@@ -94,7 +95,7 @@ class ReadTools:
         forget = self._client_api.follow(command, note)
         try:
             if not command.final:
-                async with asyncio.timeout(patience):
+                async with timeout(patience):
                     await ended.wait()
         except TimeoutError:
             pass

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 import msgspec
@@ -18,6 +17,7 @@ from rcp_mcp.offers import Context, Outcome
 from rcp_mcp.pictures import View
 from rcp_mcp.sample_results import sampled
 from rcp_mcp.trends import trends
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["WatchTools"]
 
@@ -56,7 +56,7 @@ class WatchTools:
         self, ctx: Context, feed: ResourceFeed, arguments: Watch, found: list[dict[str, Any]]
     ) -> str:
         try:
-            async with asyncio.timeout(arguments.seconds):
+            async with timeout(arguments.seconds):
                 while len(found) < arguments.samples:
                     updates = await feed.next()
                     if not updates:

@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import AsyncGenerator, Hashable
 from contextlib import asynccontextmanager
 
+from rcp_protocol.timeouts import timeout
 from rcp_scheduling.turns import Turns
 
 __all__ = ["paced_timeout"]
@@ -32,7 +33,7 @@ async def paced_timeout(
         if entered:
             limit.reschedule(loop.time())
 
-    async with asyncio.timeout(None) as limit:
+    async with timeout(None) as limit:
         timer = loop.call_later(seconds, expire)
         try:
             yield

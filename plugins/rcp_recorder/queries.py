@@ -19,6 +19,7 @@ from rcp_kernel.errors import (
     NotImplementedByRobot,
     QueueFull,
 )
+from rcp_protocol.timeouts import timeout
 from rcp_recordings.query import Query
 
 __all__ = ["COPIES", "PAGES", "WAITING", "Queries"]
@@ -62,7 +63,7 @@ class Queries:
         self._waiting += 1
         places = self._copies if copy else self._pages
         try:
-            async with asyncio.timeout(_PATIENCE):
+            async with timeout(_PATIENCE):
                 await places.acquire()
         except TimeoutError:
             raise QueueFull(

@@ -14,6 +14,7 @@ from opentelemetry.sdk.trace.id_generator import RandomIdGenerator
 from opentelemetry.sdk.trace.sampling import TraceIdRatioBased
 
 from rcp_kernel.contract.version import gateway_version
+from rcp_protocol.timeouts import timeout
 from rcp_protocol.trace import Trace
 from rcp_tracing.config import TracingConfig
 from rcp_tracing.spans import Tracer
@@ -61,7 +62,7 @@ async def exporting(config: TracingConfig) -> AsyncGenerator[Tracer]:
         yield Tracer(provider.get_tracer("rcp-gateway"), named)
     finally:
         try:
-            async with asyncio.timeout(config.timeout):
+            async with timeout(config.timeout):
                 await asyncio.to_thread(provider.shutdown)
         except TimeoutError:
             pass  # a collector that is away does not keep the gateway from ending

@@ -6,13 +6,13 @@ is redirected, and size and time are bounded.
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import ssl
 from collections.abc import Collection
 
 import httpx
 
+from rcp_protocol.timeouts import timeout
 from rcp_vda5050.faults import DownloadFailed
 
 __all__ = ["LARGEST", "Downloads"]
@@ -40,7 +40,7 @@ class Downloads:
         algorithm = None if digest is None else _algorithm(digest)
         url = self._checked(link)
         try:
-            async with asyncio.timeout(_LONGEST):
+            async with timeout(_LONGEST):
                 data = await self._get(url)
         except TimeoutError:
             raise DownloadFailed(f"the download took more than {_LONGEST:g} s") from None

@@ -14,6 +14,7 @@ from rcp_gateway.api import Connection
 from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import Encoding
+from rcp_protocol.timeouts import timeout
 from rcp_vda5050.config import RobotConfig
 
 __all__ = ["Link", "NotStoppedError", "Running"]
@@ -62,7 +63,7 @@ class Running:
         :raises NotStoppedError: it has not.
         """
         try:
-            async with asyncio.timeout(_PATIENCE):
+            async with timeout(_PATIENCE):
                 reply = await asyncio.shield(self._done)
         except TimeoutError:
             raise NotStoppedError(f"it has not ended within {_PATIENCE:g} s") from None

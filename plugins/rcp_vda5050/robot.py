@@ -11,6 +11,7 @@ import structlog
 
 from rcp_gateway.api import PluginStore
 from rcp_gateway.client_api import ClientApi
+from rcp_protocol.timeouts import timeout
 from rcp_vda5050.config import RobotConfig
 from rcp_vda5050.factsheet import factsheet, own_actions
 from rcp_vda5050.faults import Fault
@@ -338,7 +339,7 @@ class Robot:
     async def _say_state(self) -> None:
         while True:
             try:
-                async with asyncio.timeout(_EVERY):
+                async with timeout(_EVERY):
                     await self._due.wait()
             except TimeoutError:
                 pass

@@ -14,6 +14,7 @@ import msgspec
 import structlog
 
 from rcp_gateway.api import PluginStore
+from rcp_protocol.timeouts import timeout
 from rcp_vda5050.config import RobotConfig
 from rcp_vda5050.zone_messages import ZoneSet
 from rcp_vda5050.zone_sets import UNKNOWN
@@ -113,7 +114,7 @@ class ZoneStore:
     async def confirm(self) -> None:
         """Wait until everything is stored; if that takes long, go on and note that it is late."""
         try:
-            async with asyncio.timeout(_STORED):
+            async with timeout(_STORED):
                 await self._written.wait()
         except TimeoutError:
             self._say(late=True)

@@ -14,6 +14,7 @@ import msgspec
 
 from rcp_gateway.client_api import ClientApi
 from rcp_kernel.values import Encoding
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["BOUND", "Client", "MemoryClient", "Message", "decode", "encode"]
 
@@ -113,7 +114,7 @@ class Client(ABC):
         future = asyncio.get_running_loop().create_future()
         self._waiting[future] = wanted
         try:
-            async with asyncio.timeout(within):
+            async with timeout(within):
                 return await future
         except TimeoutError:
             held = f"{self.inbox!r:.2000}"

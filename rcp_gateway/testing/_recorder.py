@@ -18,6 +18,7 @@ from rcp_kernel.spi import (
     RobotFacts,
     StopPlan,
 )
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Recorder"]
 
@@ -45,7 +46,7 @@ class Recorder:
         waiter = name, asyncio.Event()
         self._waiting.append(waiter)
         try:
-            async with asyncio.timeout(within):
+            async with timeout(within):
                 await waiter[1].wait()
         except TimeoutError:
             return False

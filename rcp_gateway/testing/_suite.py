@@ -9,6 +9,7 @@ from typing import Any, ClassVar, TypeVar
 import pytest
 
 from rcp_gateway.testing._client import BOUND
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Suite", "eventually", "proves"]
 
@@ -34,7 +35,7 @@ async def eventually(
     :raises AssertionError: it did not within `within` seconds.
     """
     try:
-        async with asyncio.timeout(within):
+        async with timeout(within):
             while not await holds():  # noqa: ASYNC110 - devices have no events
                 await asyncio.sleep(_LOOK)
     except TimeoutError:

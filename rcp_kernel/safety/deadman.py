@@ -15,6 +15,7 @@ from rcp_kernel.safety.safe_value import safe_value
 from rcp_kernel.safety.shared_handle import Cancellable, Shared
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.wire import Request
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["REPLY_GRACE", "Deadman"]
 
@@ -245,7 +246,7 @@ class Deadman:
     async def _stop_together(self, shared: Shared) -> None:
         entries = shared.members
         try:
-            async with asyncio.timeout(_ESCALATE_AFTER):
+            async with timeout(_ESCALATE_AFTER):
                 await self._write_safe(entries)
         except Exception as error:
             log.warning("deadman_stop_failed", error=repr(error), path=entries[0].path)

@@ -30,6 +30,7 @@ from rcp_kernel.tree.entry import Owner, RobotUnit
 from rcp_kernel.tree.latches import GATEWAY, Latch, Latches, tenant_key
 from rcp_kernel.types import Time
 from rcp_kernel.wire import Request
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["HALT_WAIT", "LONGEST_WAIT", "Estop", "EstopRequest", "EstopState"]
 
@@ -282,7 +283,7 @@ class Estop:
     async def _reset_at_gateway(self, robot: RobotUnit, latch: Latch | None) -> str | None:
         """Ask one robot's own gateway; return why the robot is still latched, or None."""
         try:
-            async with asyncio.timeout(HALT_WAIT):
+            async with timeout(HALT_WAIT):
                 await robot.reset_own()
         except Exception as error:
             why = str(error) or "no answer"

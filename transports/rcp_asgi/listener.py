@@ -26,6 +26,7 @@ from rcp_asgi.tls import Tls
 from rcp_asgi.upgrade import Upgrade
 from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import ConfigError, UnknownPath
+from rcp_protocol.timeouts import timeout
 from rcp_web.asgi import Receive, Scope, Send, refuse
 
 __all__ = ["open_asgi"]
@@ -195,7 +196,7 @@ async def _close(server: Server, settings: Settings) -> None:
         if late:
             await asyncio.wait(late, timeout=settings.config.grace)
     with suppress(TimeoutError):
-        async with asyncio.timeout(settings.config.grace):
+        async with timeout(settings.config.grace):
             while state.connections:  # noqa: ASYNC110 - uvicorn does not signal when a connection ends
                 await asyncio.sleep(0.01)
     for connection in list(state.connections):

@@ -13,6 +13,7 @@ from rcp_gateway.client_api import ClientApi
 from rcp_http.answers import matches
 from rcp_http.request import HttpRequest
 from rcp_kernel.errors import NotImplementedByRobot, RcpError
+from rcp_protocol.timeouts import timeout
 from rcp_web.asgi import Headers, Receive, Send, read_parts, respond, until_gone
 from rcp_web.downloads import RECORDINGS, Download, Recordings
 from rcp_web.ranges import byte_range
@@ -115,7 +116,7 @@ async def _send_pieces(
 
 
 async def _send(send: Send, piece: bytes) -> None:
-    async with asyncio.timeout(_STALLED):
+    async with timeout(_STALLED):
         await send({"type": "http.response.body", "body": piece, "more_body": True})
 
 

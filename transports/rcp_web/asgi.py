@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from math import ceil
 from typing import Any
@@ -12,6 +11,7 @@ from rcp_gateway.client_api import ClientApi
 from rcp_kernel.errors import BY_CODE, BadRequest, DeadlineExceeded, PayloadTooLarge, RcpError
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Reply, encode_reply, failure
+from rcp_protocol.timeouts import timeout
 
 __all__ = [
     "JSON",
@@ -99,7 +99,7 @@ async def read_parts(receive: Receive, limit: int, patience: float | None) -> li
     size = 0
     more = True
     try:
-        async with asyncio.timeout(patience):
+        async with timeout(patience):
             while more:
                 message = await receive()
                 if message["type"] == "http.disconnect":  # half a value must not reach a robot

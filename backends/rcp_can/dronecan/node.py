@@ -40,6 +40,7 @@ from rcp_kernel.errors import (
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host, Progress, check_fence
 from rcp_profiles import claim
+from rcp_protocol.timeouts import timeout
 
 if TYPE_CHECKING:
     import can
@@ -350,7 +351,7 @@ class DronecanPart(Part):
             if not response.ok:
                 raise DeviceRejected(f"DroneCAN node {node} refused to restart")
         try:
-            async with asyncio.timeout(_REBOOT):
+            async with timeout(_REBOOT):
                 await self._back.wait()
         except TimeoutError:
             raise DeviceTimeout(

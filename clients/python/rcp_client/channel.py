@@ -35,6 +35,7 @@ from rcp_protocol.errors import (
     TokenExpired,
     Unauthenticated,
 )
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Channel"]
 
@@ -153,7 +154,7 @@ class Channel:
             settings.proof(),
             self._received,
             self._on_lost,
-            timeout=settings.connect_timeout,
+            patience=settings.connect_timeout,
             heartbeat=settings.heartbeat,
             ssl=settings.ssl if self.address.secure else None,
         )
@@ -203,7 +204,7 @@ class Channel:
         self.calls.enter(call)
         self._go(call, link)
         try:
-            async with asyncio.timeout(self.settings.connect_timeout):
+            async with timeout(self.settings.connect_timeout):
                 outcome = await call.end
         except TimeoutError:
             raise ConnectionLost(f"{self.address.url} does not answer `hello`") from None
@@ -300,7 +301,7 @@ class Channel:
         :raises RcpError: it failed, was refused or cancelled, or `limit` seconds have passed.
         """
         try:
-            async with asyncio.timeout(limit):
+            async with timeout(limit):
                 outcome = await asyncio.shield(call.end)
         except TimeoutError:
             raise self.late(call, limit or 0) from None

@@ -13,6 +13,7 @@ from rcp_client.calls import Call
 from rcp_client.channel import Channel
 from rcp_client.errors import error_of, safely
 from rcp_client.messages import Reply
+from rcp_protocol.timeouts import timeout
 from rcp_protocol.values import ValueType, value_type
 from rcp_protocol.wire import FINAL
 
@@ -99,7 +100,7 @@ class CommandHandle:
         """
         call = self._call
         try:
-            async with asyncio.timeout(limit):
+            async with timeout(limit):
                 await asyncio.shield(call.first)
         except TimeoutError:
             self._channel.calls.leave(call)

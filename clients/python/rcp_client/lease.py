@@ -10,6 +10,7 @@ from rcp_client.channel import Channel
 from rcp_client.messages import Notice, Reply
 from rcp_protocol.clock import parse_time
 from rcp_protocol.errors import LeaseHeld, LeaseLost, LeaseRequired, RcpError
+from rcp_protocol.timeouts import timeout, timeout_at
 
 __all__ = ["Lease"]
 
@@ -107,12 +108,12 @@ class Lease:
         loop = asyncio.get_running_loop()
         while self.lost is None:
             with suppress(TimeoutError):
-                async with asyncio.timeout((self._until - loop.time()) / _RENEWALS):
+                async with timeout((self._until - loop.time()) / _RENEWALS):
                     await self._moved.wait()
             self._moved.clear()
             home = self._channel.address
             try:
-                async with asyncio.timeout_at(self._until):
+                async with timeout_at(self._until):
                     self._take_note(await self._ask(self._again()))
             except (LeaseLost, LeaseRequired, LeaseHeld) as error:
                 if self._channel.address != home:  # it was asked of a hub that knows nothing of it

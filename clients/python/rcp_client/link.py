@@ -69,7 +69,7 @@ class Link(WSListener):
         received: Received,
         lost: Lost,
         *,
-        timeout: float,  # noqa: ASYNC109 - picows applies it to both phases
+        patience: float,
         heartbeat: float,
         ssl: SSLContext | None,
     ) -> Link:
@@ -82,13 +82,13 @@ class Link(WSListener):
         if token is not None:
             headers["Authorization"] = f"Bearer {token}"
         try:
-            async with asyncio.timeout(timeout):
+            async with timeout(patience):
                 transport, link = await ws_connect(
                     lambda: cls(codec, received, lost),
                     address.ws,
                     ssl_context=ssl,
                     max_redirects=0,  # the token is for this gateway only
-                    websocket_handshake_timeout=timeout,
+                    websocket_handshake_timeout=patience,
                     enable_auto_ping=True,
                     auto_ping_idle_timeout=heartbeat,
                     auto_ping_reply_timeout=heartbeat,

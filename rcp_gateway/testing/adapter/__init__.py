@@ -18,6 +18,7 @@ from rcp_kernel.config.file import decode_table, parse
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["AdapterGateway", "AdapterSuite"]
 
@@ -123,7 +124,7 @@ class AdapterSuite(Suite):
         config = msgspec.structs.replace(parse(_CONFIG, "test"), plugins=table)
         robot = BackendKind("robot", _NoOptions, _open_robot)
         async with serve(config, robot, adapters=(self.kind,)) as served:
-            async with asyncio.timeout(BOUND):  # a busy machine opens to clients before
+            async with timeout(BOUND):  # a busy machine opens to clients before
                 await served.supervisor.settled.wait()
             yield AdapterGateway(served)
 

@@ -15,6 +15,7 @@ from rcp_gateway.testing._suite import eventually
 from rcp_gateway.testing.backend._base import BackendTests
 from rcp_kernel.errors import RcpError
 from rcp_kernel.model import Operation
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["LifeTests"]
 
@@ -75,7 +76,7 @@ class LifeTests(BackendTests):
             readable = robot.having(Operation.READ)
         for resource in readable:
             try:
-                async with asyncio.timeout(BOUND):
+                async with timeout(BOUND):
                     await robot.backend.read(resource.name)
             except RcpError:
                 continue

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 
 from rcp_gateway.testing.backend._base import BackendTests, Robot
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["MotionTests"]
 
@@ -14,20 +15,20 @@ class MotionTests(BackendTests):
 
     async def test_a_halt_brings_it_to_rest(self, robot: Robot) -> None:
         await self.set_in_motion()
-        async with asyncio.timeout(self.cancel_within):
+        async with timeout(self.cancel_within):
             await robot.backend.halt()
         await self.comes_to_rest("halt")
 
     async def test_a_halt_of_what_rests_is_harmless(self, robot: Robot) -> None:
         for _ in range(2):
-            async with asyncio.timeout(self.cancel_within):
+            async with timeout(self.cancel_within):
                 await robot.backend.halt()
         if self.moving():
             await self.comes_to_rest("two halts")
 
     async def test_halts_side_by_side_bring_it_to_rest(self, robot: Robot) -> None:
         await self.set_in_motion()
-        async with asyncio.timeout(self.cancel_within):
+        async with timeout(self.cancel_within):
             await asyncio.gather(robot.backend.halt(), robot.backend.halt())
         await self.comes_to_rest("two halts at once")
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
-
 from rcp_gateway.testing.backend._base import BackendTests, Robot
 from rcp_kernel.model import Kind, Operation
 from rcp_kernel.values import value_type
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["StreamTests"]
 
@@ -44,7 +43,7 @@ class StreamTests(BackendTests):
             await robot.client.update(id_, self.first_within)
             await robot.client.request("unsubscribe", body={"subscription": id_})
             try:
-                async with asyncio.timeout(_SETTLE):
+                async with timeout(_SETTLE):
                     while await host.publishes(resource.name, _QUIET):
                         pass
             except TimeoutError:

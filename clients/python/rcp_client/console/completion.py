@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Awaitable, Callable, Iterable
 from typing import Any
 
@@ -12,6 +11,7 @@ from click.shell_completion import CompletionItem
 from rcp_client.client import Client
 from rcp_client.console import unwaited
 from rcp_client.console.gateway import named_gateway
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["candidates"]
 
@@ -35,7 +35,7 @@ def candidates(ctx: click.Context, incomplete: str, what: str) -> list[Completio
 
 
 async def _asked(options: dict[str, Any], ask: Ask, incomplete: str) -> list[tuple[str, str]]:
-    async with asyncio.timeout(_WAIT):
+    async with timeout(_WAIT):
         client = named_gateway(options, deadline=_WAIT, within=_WAIT, patience=_WAIT)
         async with client:
             found = list(await ask(client))

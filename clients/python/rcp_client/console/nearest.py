@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import asyncio
 import difflib
 from contextlib import suppress
 
 from rcp_client.client import Client
 from rcp_protocol.errors import RcpError, UnknownPath
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["with_nearest"]
 
@@ -40,7 +40,7 @@ async def with_nearest(client: Client, error: RcpError) -> RcpError:
         )
         return error
     with suppress(RcpError, TimeoutError):
-        async with asyncio.timeout(_WAIT):
+        async with timeout(_WAIT):
             found = await client.discover("/**", schemas=False)
         tenant = client.greeting.get("tenant")
         path = error.path if error.path.startswith("/tenant/") else f"/tenant/{tenant}{error.path}"

@@ -18,6 +18,7 @@ from rcp_client.messages import Reply
 from rcp_client.requests import repeatable
 from rcp_client.settings import MARGIN
 from rcp_protocol.errors import RcpError
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Unanswered", "post", "request"]
 
@@ -30,7 +31,7 @@ async def request(client: Client, envelope: dict[str, Any]) -> Reply:
     # The gateway's own reply is more specific than a time-out here.
     limit = envelope.setdefault("deadline", client.settings.deadline) + MARGIN
     try:
-        async with asyncio.timeout(limit):  # that of a socket covers no name that is looked up
+        async with timeout(limit):  # that of a socket covers no name that is looked up
             reply = await asyncio.wrap_future(unwaited.start(_post, client, envelope))
     except TimeoutError:
         late = f"{client.channel.address.url} did not answer within {limit:g} s"
