@@ -28,6 +28,7 @@ from rcp_client.messages import Codec, Message, Reply
 from rcp_client.segments import Assembler, split
 from rcp_client.tls import tls_reason
 from rcp_protocol.errors import Forbidden, RcpError, Unauthenticated
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["Link"]
 
