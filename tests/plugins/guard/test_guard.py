@@ -248,7 +248,7 @@ async def test_a_gateway_that_is_started_again_is_not_hindered_by_the_guard_of_t
             await again.guard()
             await gone(first)
             times = [fact["at"] for fact in scene.stops()]
-            assert times[-1] - times[0] > 1.0  # it was told for a while all the same
+            assert len(times) > 3  # it was told again and again until the other was there
             await again.drive(0.9)
             await asyncio.sleep(0.5)
             assert len(scene.stops()) == len(times)
