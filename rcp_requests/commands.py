@@ -82,6 +82,10 @@ class Commands:
         """Commands that have not ended, by id."""
         return self._journal.running
 
+    def running_on(self, path: str) -> tuple[Command, ...]:
+        """Return the commands on a path that have not ended, oldest first."""
+        return self._journal.running_on(path)
+
     def every(self) -> list[Command]:
         """Return all known commands, newest first."""
         return self._journal.every()
@@ -390,7 +394,7 @@ class Commands:
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End the commands on a path whose backend is gone, with the reason."""
-        for command in [c for c in self._journal.running.values() if c.path == path]:
+        for command in self._journal.running_on(path):
             if command.id in self._starts:
                 self._unqueue(command)
                 self._finish(command, error)
