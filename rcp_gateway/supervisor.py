@@ -1,8 +1,10 @@
 """One task for each backend: open, ready, degraded, backoff, close. A crash changes a state only.
 
-    declared → opening → ready ⇄ degraded → closing → closed,  and  unavailable, failed
+    declared → opening → ready ⇄ degraded → closing → closed,  and  down, unavailable, failed
 
-After `NotReady` or a crash the backend is opened again, with backoff; `ConfigError` is final.
+A backend is `down` when it could not be opened or crashed (`_down`), or when it says so itself
+(`report`): only it knows how long its robot may be silent. After `NotReady` or a crash it is opened
+again, with backoff; `ConfigError` is final.
 Adapters and transports are opened after the backends were started and closed before them, in
 reverse; motion is halted, with a bound, before anything closes.
 """

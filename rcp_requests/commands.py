@@ -1,7 +1,8 @@
 """The life of an execute: accepted → pending → in_progress → completed | failed | rejected | cancelled.
 
 The kernel derives every status from the state of one coroutine, `Backend.execute`, so that no
-plugin can send an illegal sequence. The gateway gives each command an id; commands outlive their
+plugin can send an illegal sequence. `Commands` owns the coroutine of a command, `CommandJournal` the
+command itself: its steps, and its place among those that run or have ended. Commands outlive their
 connection and are kept after their end.
 """
 
