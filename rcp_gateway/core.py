@@ -25,7 +25,7 @@ from rcp_kernel.config.settings import Settings
 from rcp_kernel.contract.events import EventBus
 from rcp_kernel.contract.metrics import RequestCounts
 from rcp_kernel.contract.shutdown import Shutdown
-from rcp_kernel.features.commands import CommandEvents
+from rcp_kernel.features.observer import CommandEvents
 from rcp_kernel.features.resource import ViewChanges
 from rcp_kernel.features.services import FeatureServices
 from rcp_kernel.safety.deadman import Deadman

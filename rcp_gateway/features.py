@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 from prometheus_client.core import Metric
 
-from rcp_gateway.recorder import Listener, Recorder
+from rcp_gateway.feature_listeners import DurableListener, FeatureListener
 from rcp_kernel.access.acl import Rights
 from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig, decode_table
@@ -133,19 +133,19 @@ class Features:
         return [one for one in found if one is not None]
 
     @property
-    def event_listeners(self) -> list[Listener]:
+    def event_listeners(self) -> list[FeatureListener]:
         """The listeners for events."""
         return [one for one in self._listeners if one.hears_events]
 
     @property
-    def command_listeners(self) -> list[Listener]:
+    def command_listeners(self) -> list[FeatureListener]:
         """The listeners for steps of commands."""
         return [one for one in self._listeners if one.hears_commands]
 
     @property
-    def recorders(self) -> list[Recorder]:
+    def recorders(self) -> list[DurableListener]:
         """The features for which replies wait."""
-        return [one for one in self._listeners if isinstance(one, Recorder)]
+        return [one for one in self._listeners if isinstance(one, DurableListener)]
 
     @property
     def accounting(self) -> list[Accounting]:
@@ -250,13 +250,13 @@ class Features:
             yield
 
 
-def _listener(health: FeatureHealth, feature: Feature) -> Listener | None:
+def _listener(health: FeatureHealth, feature: Feature) -> FeatureListener | None:
     events, steps, feedback = feature.on_event, feature.on_command, feature.feedback
     if feature.durability is not None:
-        return Recorder(events, steps, health, feature.durability, feedback=feedback)
+        return DurableListener(events, steps, health, feature.durability, feedback=feedback)
     if events is None and steps is None:
         return None
-    return Listener(events, steps, health, feedback=feedback)
+    return FeatureListener(events, steps, health, feedback=feedback)
 
 
 def _state(health: FeatureHealth) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from rcp_requests.keyed_write import KeyedWrites
 from rcp_requests.long_bodies import LongBodies
 from rcp_requests.ping import PingHandler
 from rcp_requests.read import ReadHandler
+from rcp_requests.reader_views import ReaderViews
 from rcp_requests.router import RequestRouter
 from rcp_requests.services import ServiceHandler
 from rcp_requests.subscribe import SubscribeHandler
@@ -86,10 +87,9 @@ class Handlers:
             core.inflight,
             core.counts,
             core.turns,
-            core.tree_views,
-            views=system.views,
-            pages=system.pages,
-            filters=system.filters,
+            views=ReaderViews(
+                system.views, system.pages, system.filters, core.tree_views, core.settings
+            ),
             frames=self._features.frames,
             settings=core.settings,
         )

@@ -1,4 +1,7 @@
-"""The health report: the content of `/system/status` and `/readyz`."""
+"""The health report: the content of `/system/status` and `/readyz`.
+
+It shows states and decides none: `BackendSupervisor` says whether a backend is down.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
 """One task for each backend: open, ready, degraded, backoff, close. A crash changes a state only.
 
-    declared → opening → ready ⇄ degraded → closing → closed,  and  unavailable, failed
+    declared → opening → ready ⇄ degraded → closing → closed,  and  down, unavailable, failed
 
-After `NotReady` or a crash the backend is opened again, with backoff; `ConfigError` is final.
+A backend is `down` when it could not be opened or crashed (`_down`), or when it says so itself
+(`report`): only it knows how long its robot may be silent. After `NotReady` or a crash it is opened
+again, with backoff; `ConfigError` is final.
 Adapters and transports are opened after the backends were started and closed before them, in
 reverse; motion is halted, with a bound, before anything closes.
 """
@@ -11,7 +13,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -19,14 +21,14 @@ import structlog
 
 from rcp_gateway.backend_status import BackendStatus, State
 from rcp_gateway.containment import ContainedBackend, contained
+from rcp_gateway.declared_resources import DeclaredResources
 from rcp_gateway.recovery import LossRecovery
 from rcp_gateway.thread_calls import ThreadCalls
 from rcp_kernel.clock import iso, now
 from rcp_kernel.config.file import BackendConfig
 from rcp_kernel.contract.shutdown import Shutdown
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, NotReady, PluginError, RcpError
-from rcp_kernel.model import Resource, full_path
-from rcp_kernel.safety.hold import hold_resource
+from rcp_kernel.model import full_path
 from rcp_kernel.safety.safety_events import SafetyEvents
 from rcp_kernel.safety.stop import StopController
 from rcp_kernel.spi import (
@@ -36,7 +38,6 @@ from rcp_kernel.spi import (
     BaseBackend,
     FrameTree,
     OwnLeases,
-    Publication,
     RobotFacts,
 )
 from rcp_kernel.tree.entry import Availability, Entry, RobotUnit
@@ -83,9 +84,12 @@ class BackendSupervisor(BackendStatus):
         self._recovery = LossRecovery(self, journal, stops, events)
         self.call_soon = ThreadCalls(loop, hub.flush_scheduler, self._call_failed).add
         """Runs a function on the event loop, from any thread."""
+        declared = DeclaredResources(self, config.tenant, registry, commands, self._recovery)
+        self.entries = declared.entries
+        self.declare, self.withdraw = declared.declare, declared.withdraw
+        self.publish, self.publish_batch = declared.publish, declared.publish_batch
         self._units: dict[str, RobotUnit] = {}
         self.whole = RobotUnit(self, self._latches)
-        self.entries: dict[str, Entry] = {}
         self.settled = asyncio.Event()
         """Set once the first attempt to open has ended, well or not."""
         self._backend: ContainedBackend | None = None
@@ -126,66 +130,6 @@ class BackendSupervisor(BackendStatus):
         self._registry.state_changed()
 
     # -- Host ----------------------------------------------------------------------------------
-
-    def declare(self, *resources: Resource) -> None:
-        """Add resources to the tree."""
-        for resource in resources:
-            entry = self._registry.declare(self, resource, tenant=self.tenant, robot=self.robot)
-            self.entries[resource.name] = entry.unit.own[resource.name] = entry
-            if entry.moves:
-                self._offer_hold(entry.unit)
-                self._recovery.find_cut_off(entry)
-            if self.has_gateways and self.backend is not None:
-                self._commands.take_up(entry, self.backend)
-
-    def _offer_hold(self, unit: RobotUnit) -> None:
-        """Add the hold service to a robot that moves, unless it has its own."""
-        name = _hold_name(unit.robot)
-        if name in self.entries:
-            return
-        place = self._registry
-        path = full_path(self.tenant, self.robot, name)
-        if path in place.entries:  # another backend of the same robot offers it for both
-            return
-        entry = Entry(
-            path, hold_resource(name, unit.robot), self, self.tenant, self.robot, place.clock
-        )
-        entry.is_hold = True
-        self.entries[name] = unit.own[name] = place.insert(entry)
-
-    def withdraw(self, *names: str) -> None:
-        """Remove resources from the tree; their running commands end."""
-        for name in names:
-            entry = self.entries.pop(name, None)
-            if entry is not None:
-                entry.unit.own.pop(name, None)
-                gone = AdapterUnavailable(f"the backend withdrew {entry.path}")
-                self._commands.interrupt(entry.path, gone)
-                self._registry.withdraw(entry.path)
-                self._withdraw_hold(entry.unit)
-
-    def _withdraw_hold(self, unit: RobotUnit) -> None:
-        """Withdraw the hold service of a robot with nothing left that moves."""
-        name = _hold_name(unit.robot)
-        entry = self.entries.get(name)
-        if entry is not None and entry.is_hold and not any(e.moves for e in unit.own.values()):
-            self.withdraw(name)
-
-    def publish(self, name: str, value: Any, timestamp: int | None = None) -> None:
-        """Publish a value; an undeclared name is a fault."""
-        entry = self.entries.get(name)
-        if entry is None:
-            self.fault(f"published '{name}', which it did not declare")
-            return
-        entry.publish(value, timestamp)
-
-    def publish_batch(self, batch: Sequence[Publication]) -> None:
-        """Publish values from any thread."""
-        self.call_soon(self._publish_all, batch)
-
-    def _publish_all(self, batch: Sequence[Publication]) -> None:
-        for item in batch:
-            self.publish(item.name, item.value, item.timestamp)
 
     def _call_failed(self, error: BaseException) -> None:
         self.fault(f"{type(error).__name__}: {error}")
@@ -457,10 +401,6 @@ class BackendSupervisor(BackendStatus):
     def path(self, name: str) -> str:
         """Return the full path of one of the backend's own names."""
         return full_path(self.tenant, self.robot, name)
-
-
-def _hold_name(robot: str | None) -> str:
-    return "service/hold" if robot is None else f"service/{robot}/hold"
 
 
 def _sentence(error: BaseException) -> str:

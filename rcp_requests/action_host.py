@@ -27,7 +27,7 @@ from rcp_requests.atomic_group import check_group
 from rcp_requests.commands import Commands
 from rcp_requests.journal import CommandJournal
 from rcp_requests.long_bodies import LongBodies
-from rcp_requests.read import READ_OPTIONS
+from rcp_requests.read_options import READ_OPTIONS
 from rcp_requests.request_events import RequestEvents
 from rcp_scheduling.turns import Turns
 from rcp_streams.frames import FrameConverter

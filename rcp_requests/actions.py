@@ -98,8 +98,7 @@ class ActionHandler:
 
         :raises QueueFull: as many run as may.
         """
-        running = [c for c in self._journal.running.values() if c.path == self.path]
-        self._action.admit(session, running)
+        self._action.admit(session, self._journal.running_on(self.path))
 
     def prepare(
         self, session: Session, request: Request, waiting: WaitingCommand

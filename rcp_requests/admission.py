@@ -20,7 +20,7 @@ from rcp_kernel.errors import (
     UnsupportedOperation,
 )
 from rcp_kernel.features import Call, Guard, Slot
-from rcp_kernel.features.commands import CommandEvents
+from rcp_kernel.features.observer import CommandEvents
 from rcp_kernel.model import Operation, operation_names, parse_path
 from rcp_kernel.safety.motion_checks import check_age, check_hold, check_motion
 from rcp_kernel.sessions.session import Session

@@ -1,7 +1,8 @@
 """The life of an execute: accepted → pending → in_progress → completed | failed | rejected | cancelled.
 
 The kernel derives every status from the state of one coroutine, `Backend.execute`, so that no
-plugin can send an illegal sequence. The gateway gives each command an id; commands outlive their
+plugin can send an illegal sequence. `Commands` owns the coroutine of a command, `CommandJournal` the
+command itself: its steps, and its place among those that run or have ended. Commands outlive their
 connection and are kept after their end.
 """
 
@@ -81,6 +82,10 @@ class Commands:
     def running(self) -> Mapping[str, Command]:
         """Commands that have not ended, by id."""
         return self._journal.running
+
+    def running_on(self, path: str) -> tuple[Command, ...]:
+        """Return the commands on a path that have not ended, oldest first."""
+        return self._journal.running_on(path)
 
     def every(self) -> list[Command]:
         """Return all known commands, newest first."""
@@ -390,7 +395,7 @@ class Commands:
 
     def interrupt(self, path: str, error: RcpError) -> None:
         """End the commands on a path whose backend is gone, with the reason."""
-        for command in [c for c in self._journal.running.values() if c.path == path]:
+        for command in self._journal.running_on(path):
             if command.id in self._starts:
                 self._unqueue(command)
                 self._finish(command, error)

@@ -276,7 +276,7 @@ class ExecuteHandler:
         path = targets[0].path if targets else request.path
         entry = self._resolver.resolve(session, path, Operation.EXECUTE, anyway=True)
         if id_ is None:
-            running = [c for c in self._journal.running.values() if c.path == entry.path]
+            running = self._journal.running_on(entry.path)
             targets = [c for c in running if self._access.sees(session, c)]
         action = self._actions.get(entry.path) if id_ is None else None
         waiting = None if action is None else action.waiting

@@ -86,6 +86,8 @@ class CommandJournal:
         """Listeners of all commands, called before followers."""
         self.running: dict[str, Command] = {}
         """Commands that have not ended, by id."""
+        self._by_path: dict[str, dict[str, Command]] = {}
+        """The same, by path; no empty ones."""
         self.interrupted: list[Command] = []
         """Commands interrupted by the end of the previous run."""
         self.counts: dict[tuple[str, str], int] = {}
@@ -97,7 +99,7 @@ class CommandJournal:
     def _load(self) -> None:
         for command in from_rows(self._store.load(TABLE).values()):
             if not command.final and command.continuation is not None:
-                self.running[command.id] = command
+                self._begin(command)
                 continue
             if not command.final:
                 cut_off(command, self._now())
@@ -109,6 +111,11 @@ class CommandJournal:
         """Return a command by the gateway's id."""
         return self.running.get(id_) or self._finished.get(id_)
 
+    def running_on(self, path: str) -> tuple[Command, ...]:
+        """Return the commands on a path that have not ended, oldest first."""
+        found = self._by_path.get(path)
+        return () if found is None else tuple(found.values())
+
     def every(self) -> list[Command]:
         """Return all known commands, newest first."""
         return [*reversed(self.running.values()), *self._finished.newest_first()]
@@ -117,7 +124,7 @@ class CommandJournal:
         """Record and report a step; the first one adds the command, a final one closes it."""
         status, history = step.status, command.history
         if not history:
-            self.running[command.id] = command
+            self._begin(command)
         history.append(step)
         if len(history) > _HISTORY:
             del history[1]
@@ -139,9 +146,17 @@ class CommandJournal:
             command.requester = command.request = command.work = None
             command.followers.clear()
 
+    def _begin(self, command: Command) -> None:
+        self.running[command.id] = command
+        self._by_path.setdefault(command.path, {})[command.id] = command
+
     def _close(self, command: Command, last: Record) -> None:
         command.finished = last.time
-        self.running.pop(command.id, None)
+        if self.running.pop(command.id, None) is not None:
+            here = self._by_path[command.path]
+            del here[command.id]
+            if not here:
+                del self._by_path[command.path]
         self._finished.add(command)
         key = command.path, last.status
         self.counts[key] = self.counts.get(key, 0) + 1

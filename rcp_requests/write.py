@@ -12,7 +12,7 @@ from rcp_kernel.contract.internal_errors import attribute_error
 from rcp_kernel.contract.requests import PreparedRequest
 from rcp_kernel.errors import EstopActive, RcpError
 from rcp_kernel.features import Call
-from rcp_kernel.features.commands import CommandEvents
+from rcp_kernel.features.observer import CommandEvents
 from rcp_kernel.model import Operation
 from rcp_kernel.safety.deadman import REPLY_GRACE, Deadman
 from rcp_kernel.safety.safe_value import safe_value

@@ -33,9 +33,6 @@ def _make(config: ApprovalsConfig, host: FeatureHost) -> Feature:
     questions = Questions(config, host)
     guard, decisions = ApprovalGuard(questions), Decisions(questions, host)
 
-    def reconfigure(config: ApprovalsConfig) -> None:
-        questions.config = config
-
     return Feature(
         resources=(
             SystemResource(resource=_RESOURCE, view=decisions.view, execute=decisions.request),
@@ -43,7 +40,7 @@ def _make(config: ApprovalsConfig, host: FeatureHost) -> Feature:
         guard=guard,
         dry_run=guard.dry_run,
         services={APPROVALS: Approvals(questions, guard, decisions)},
-        reconfigure=reconfigure,
+        reconfigure=guard.configure,
     )
 
 

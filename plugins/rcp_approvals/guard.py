@@ -6,6 +6,7 @@ import secrets
 from collections.abc import Mapping
 from typing import Any
 
+from rcp_approvals.config import ApprovalsConfig
 from rcp_approvals.questions import Questions
 from rcp_kernel.features import Call, Guard, Slot
 from rcp_kernel.features.approval import About
@@ -23,13 +24,14 @@ class ApprovalGuard(Guard):
 
     def __init__(self, questions: Questions) -> None:
         self._questions = questions
+        self.active = questions.config.asked
         self._tokens: dict[str, frozenset[str]] = {}
         """Paths that the steps of a running, approved plan may command."""
 
-    @property
-    def active(self) -> bool:
-        """Whether any role requires approvals."""
-        return self._questions.config.asked
+    def configure(self, config: ApprovalsConfig) -> None:
+        """Apply a configuration: whether any role requires approvals, and for how long they count."""
+        self.active = config.asked
+        self._questions.config = config
 
     @staticmethod
     def wanted(session: Session, entry: Entry, value: Any) -> bool:

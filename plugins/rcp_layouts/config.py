@@ -13,7 +13,7 @@ class LayoutsConfig(Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """`[features.layouts]`."""
 
     most: Annotated[int, Meta(ge=1, le=10_000)] = 500
-    """Maximum number of layouts of all users and tenants."""
+    """Maximum number of layouts of one tenant with all its users, and of those of all tenants."""
     of_one: Annotated[int, Meta(ge=1, le=1000)] = 50
     """Maximum number of layouts of one user, or of one tenant."""
     size: Annotated[int, Meta(ge=1024, le=1_048_576)] = 65_536

@@ -10,7 +10,7 @@ import structlog
 from msgspec import Struct, ValidationError, convert, structs, to_builtins
 
 from rcp_kernel.errors import PreconditionFailed, QueueFull, UnknownPath
-from rcp_layouts.messages import Entry, Layout
+from rcp_layouts.messages import EVERYONE, Entry, Layout
 from rcp_store.plugin_store import PluginStore
 
 __all__ = ["KeptLayouts", "Owner"]
@@ -29,6 +29,8 @@ class Owner(NamedTuple):
 class _Row(Struct, frozen=True):
     owner: Owner
     layout: Layout
+    tenant: str
+    """The tenant whose room it takes, also if it is a user's own."""
 
 
 class _Removed(Struct, frozen=True):
@@ -41,7 +43,7 @@ class KeptLayouts:
 
     def __init__(self, store: PluginStore) -> None:
         self._store = store
-        self._found: dict[tuple[Owner, str], Layout] = {}
+        self._found: dict[tuple[Owner, str], _Row] = {}
         self._removed: dict[Owner, int] = {}
         """The highest version of a layout that an owner removed: a new one begins above it, so that
         none has the version of an earlier one of its name that somebody may still have open."""
@@ -58,12 +60,12 @@ class KeptLayouts:
             except ValidationError as error:
                 log.warning("layout_unreadable", layout=key, error=str(error))
                 continue
-            self._found[kept.owner, kept.layout.name] = kept.layout
+            self._found[kept.owner, kept.layout.name] = kept
 
     def listed(self, owner: Owner) -> Iterator[Entry]:
         """List an owner's layouts by name."""
         for _, name in sorted(key for key in self._found if key[0] == owner):
-            yield _entry(self._found[owner, name])
+            yield _entry(self._found[owner, name].layout)
 
     def tenants(self) -> set[str]:
         """Return the tenants that share layouts."""
@@ -80,7 +82,7 @@ class KeptLayouts:
                 f"there is no layout '{name}'",
                 remedy="Choose one from the list of layouts, or save one with this name.",
             )
-        return found
+        return found.layout
 
     def check(self, owner: Owner, name: str, version: int) -> None:
         """Refuse a change that was not made from the kept version.
@@ -88,7 +90,7 @@ class KeptLayouts:
         :raises PreconditionFailed: somebody else saved or removed it since.
         """
         found = self._found.get((owner, name))
-        there = 0 if found is None else found.version
+        there = 0 if found is None else found.layout.version
         if version == there:
             return
         if found is None:
@@ -98,8 +100,8 @@ class KeptLayouts:
                 remedy="Save it as a new layout (`version` 0).",
             )
         raise PreconditionFailed(
-            f"{found.by} saved the layout '{name}' since, as version {there}",
-            details={"version": there, "by": found.by},
+            f"{found.layout.by} saved the layout '{name}' since, as version {there}",
+            details={"version": there, "by": found.layout.by},
             remedy="Open it again and repeat the change, or save yours under another name.",
         )
 
@@ -107,30 +109,33 @@ class KeptLayouts:
         """Return the version of a layout that was made from another version; 0: from none."""
         return (version or self._removed.get(owner, 0)) + 1
 
-    def check_room(self, owner: Owner, name: str, of_one: int, most: int) -> None:
+    def check_room(self, owner: Owner, name: str, tenant: str, of_one: int, most: int) -> None:
         """Refuse one layout too many.
 
-        :raises QueueFull: the owner, or all owners together, have as many as they may.
+        :raises QueueFull: the owner, or the tenant with all its users, has as many as it may.
         """
         if (owner, name) in self._found:
             return
         if sum(one == owner for one, _ in self._found) >= of_one:
             raise QueueFull(f"there are already {of_one} layouts here", remedy="Remove one first.")
-        if len(self._found) >= most:
+        if sum(row.tenant == tenant for row in self._found.values()) >= most:
+            whose = "all" if tenant == EVERYONE else tenant
             raise QueueFull(
-                f"there are already {most} layouts",
+                f"there are already {most} layouts of {whose} and its users",
                 remedy="Ask the administrator to raise `most` in [features.layouts].",
             )
 
-    def put(self, owner: Owner, layout: Layout) -> Entry:
-        """Keep a layout; return it as it is listed."""
-        self._found[owner, layout.name] = layout
-        self._store.put(_key(owner, layout.name), to_builtins(_Row(owner, layout)))
+    def put(self, owner: Owner, layout: Layout, tenant: str) -> Entry:
+        """Keep a layout; return it as it is listed. A later version takes the room of the first."""
+        earlier = self._found.get((owner, layout.name))
+        row = _Row(owner, layout, tenant if earlier is None else earlier.tenant)
+        self._found[owner, layout.name] = row
+        self._store.put(_key(owner, layout.name), to_builtins(row))
         return _entry(layout)
 
     def remove(self, owner: Owner, name: str) -> None:
         """Remove a layout."""
-        version = self._found.pop((owner, name)).version
+        version = self._found.pop((owner, name)).layout.version
         removed = self._removed[owner] = max(self._removed.get(owner, 0), version)
         self._store.put(_key(owner), to_builtins(_Removed(owner, removed)))
         self._store.put(_key(owner, name), None)

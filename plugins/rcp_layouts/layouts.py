@@ -118,19 +118,20 @@ class Layouts:
         *,
         dry_run: bool,
     ) -> Entry | None:
+        config, tenant = self._config, owner.tenant or session.tenant or EVERYONE
         self._kept.check(owner, request.name, request.version)
         made = self._made(session, owner, request) if request.do == "save" else None
         if made is None:
             self._kept.get(owner, request.name)
         else:
-            self._kept.check_room(owner, request.name, self._config.of_one, self._config.most)
+            self._kept.check_room(owner, request.name, tenant, config.of_one, config.most)
         if dry_run:
             return None
         entry: Entry | None = None
         if made is None:
             self._kept.remove(owner, request.name)
         else:
-            entry = self._kept.put(owner, made)
+            entry = self._kept.put(owner, made, tenant)
         if owner.tenant is not None:
             shared_with = None if owner.tenant == EVERYONE else owner.tenant
             self._host.note(

@@ -34,7 +34,7 @@ def _check(config: MotionLimitsConfig, gateway: GatewayConfig) -> None:
 def _make(config: MotionLimitsConfig, host: FeatureHost) -> Feature:
     limits = MotionLimits(host)
     guard = MotionLimitGuard(limits, FenceWatch(limits, host))
-    limits.configure(config)
+    guard.configure(config)
     return Feature(
         guard=guard,
         observer=guard,
@@ -42,7 +42,7 @@ def _make(config: MotionLimitsConfig, host: FeatureHost) -> Feature:
         dry_run=guard.dry_run,
         describe=limits.describe,
         status=guard.status,
-        reconfigure=limits.configure,
+        reconfigure=guard.configure,
     )
 
 

@@ -1,7 +1,8 @@
 """Monitors the position of driven robots, and stops a robot that is not known to be in its fence.
 
 Keeps every sensor that a limit uses published, so that its current value is known when a command
-arrives.
+arrives. A sample is compared with the fences of its sensor once; only where it violates one are the
+commands looked at, and only those of paths with that fence.
 """
 
 from __future__ import annotations
@@ -15,12 +16,16 @@ from rcp_kernel.features import FeatureHost
 from rcp_kernel.model import Kind
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.samples import Sample
+from rcp_motion_limits.limit import MotionLimit
 from rcp_motion_limits.limits import BoundPath, MotionLimits
 
 __all__ = ["FenceWatch"]
 
 log = structlog.get_logger("rcp.envelopes")
 _SOON = 0.01  # s, at least, until a position is looked at again
+
+Violations = dict[MotionLimit, str]
+"""Violated limits, each with why."""
 
 
 class FenceWatch:
@@ -100,31 +105,33 @@ class FenceWatch:
         """Check whether the commands that depend on a sensor may continue."""
         for path in tuple(self._fenced.get(sensor, ())):
             bound = self._limits.of(path)
-            if bound is not None:
-                self._look(bound, sensor)
-
-    def _look(self, bound: BoundPath, sensor: str) -> None:
-        """Stop an actuator whose robot is not known to be within the fence of its driver."""
-        entry = bound.entry
-        driver = self._limits.drivers.get(entry.path)
-        if driver is not None and (why := _trouble(bound, driver, sensor)) is not None:
-            self._limits.drivers.pop(entry.path)
-            self._host.control.stop(entry)
-            self._notify(driver, bound, *why)
-        elif entry.kind is Kind.ACTION:
-            self._look_at_commands(bound, sensor)
-
-    def _look_at_commands(self, bound: BoundPath, sensor: str) -> None:
-        for command in self._host.control.running(bound.entry.path):
-            if command.requester is None or command.cancelling:
+            if bound is None or not self._depends(bound):
                 continue
-            why = _trouble(bound, command.requester, sensor)
-            if why is not None:
-                self._host.control.cancel(command, why[-1])
-                self._notify(command.requester, bound, *why)
+            violated = _violated(bound, sensor)
+            if violated:
+                self._end(bound, sensor, violated)
 
-    def _notify(self, session: Session, bound: BoundPath, sensor: str, name: str, why: str) -> None:
-        entry = bound.entry
+    def _end(self, bound: BoundPath, sensor: str, violated: Violations) -> None:
+        """End what depends on a violated limit: the value of an actuator, or the runs of an action."""
+        entry, control = bound.entry, self._host.control
+        driver = self._limits.drivers.get(entry.path)
+        if driver is not None and (limit := _first(bound, driver, violated)) is not None:
+            self._limits.drivers.pop(entry.path)
+            control.stop(entry)
+            self._notify(driver, bound, sensor, limit, violated[limit])
+        elif entry.kind is Kind.ACTION:
+            for command in control.running(entry.path):
+                session = command.requester
+                if session is None or command.cancelling:
+                    continue
+                if (limit := _first(bound, session, violated)) is not None:
+                    control.cancel(command, violated[limit])
+                    self._notify(session, bound, sensor, limit, violated[limit])
+
+    def _notify(
+        self, session: Session, bound: BoundPath, sensor: str, limit: MotionLimit, why: str
+    ) -> None:
+        entry, name = bound.entry, limit.table.name
         log.warning("fence_left", path=entry.path, envelope=name, sensor=sensor, reason=why)
         text = f"{entry.path} was stopped: {why}"
         facts = {"path": entry.path, "envelope": name, "message": text}
@@ -142,18 +149,22 @@ class FenceWatch:
         )
 
 
-def _trouble(bound: BoundPath, driver: Session, sensor: str) -> tuple[str, str, str] | None:
-    """Return the sensor, the violated limit and a description; None if there is none."""
-    for envelope in bound.held(driver.principal.grants):
-        place = envelope.fence
-        if place is None or place.sensor != sensor:
+def _violated(bound: BoundPath, sensor: str) -> Violations:
+    """Return the limits whose fence the robot is not known to be in, of all roles."""
+    violated: Violations = {}
+    for limit in bound.envelopes:
+        fence = limit.fence
+        if fence is None or fence.sensor != sensor:
             continue
-        where = place.present()
+        where = fence.present()
         if where is None:
-            why = f"the robot's position is unknown{envelope.why}"
-        elif (trouble := place.trouble(*where)) is not None:
-            why = f"the robot {trouble[1]}{envelope.why}"
-        else:
-            continue
-        return sensor, envelope.table.name, why
-    return None
+            violated[limit] = f"the robot's position is unknown{limit.why}"
+        elif (trouble := fence.trouble(*where)) is not None:
+            violated[limit] = f"the robot {trouble[1]}{limit.why}"
+    return violated
+
+
+def _first(bound: BoundPath, driver: Session, violated: Violations) -> MotionLimit | None:
+    """Return the first of the violated limits that a driver's roles are held to."""
+    held = bound.held(driver.principal.grants)
+    return next((limit for limit in held if limit in violated), None)

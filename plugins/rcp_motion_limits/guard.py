@@ -10,6 +10,7 @@ from rcp_kernel.features import Call, CommandObserver, Guard, Slot, StatusPart
 from rcp_kernel.model import Kind
 from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
+from rcp_motion_limits.config import MotionLimitsConfig
 from rcp_motion_limits.fence_watch import FenceWatch
 from rcp_motion_limits.limits import MotionLimits
 
@@ -25,10 +26,10 @@ class MotionLimitGuard(Guard, CommandObserver):
         self._limits = limits
         self._fences = fences
 
-    @property
-    def active(self) -> bool:
-        """Whether any limit is configured."""
-        return self._limits.active
+    def configure(self, config: MotionLimitsConfig) -> None:
+        """Apply the limits of a configuration from now on."""
+        self.active = bool(config.envelopes)
+        self._limits.configure(config)
 
     def admit(self, call: Call) -> None:
         """Refuse a value outside the limits.

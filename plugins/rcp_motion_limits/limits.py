@@ -120,11 +120,6 @@ class MotionLimits:
         """Called with a path and its limits, before and after a change."""
         host.robots.follow(self._added, self._removed)
 
-    @property
-    def active(self) -> bool:
-        """Whether any limit is configured."""
-        return bool(self._tables)
-
     def configure(self, config: MotionLimitsConfig) -> None:
         """Apply the limits of a configuration from now on."""
         tables = config.envelopes

@@ -1,4 +1,4 @@
-"""A fence that keeps commands admitted before a stop from reaching the robot after it.
+"""Permits: they keep commands admitted before a stop from reaching the robot after it.
 
 The kernel runs each write and command under a permit, a context variable that tasks and timers
 inherit. A stop revokes the permits of its robot. Backends call `check_fence` before they send

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from rcp_kernel.features.action import Action, ActionHost, ActionRun
-from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.feature import Durability, Feature, FeatureKind, StatusPart
 from rcp_kernel.features.guard import Call, Guard, Slot
 from rcp_kernel.features.host import FeatureHost
+from rcp_kernel.features.observer import CommandObserver
 from rcp_kernel.features.resource import Filter, Pages, Service, SystemResource, View
 from rcp_kernel.features.robots import RobotConditions, Robots
 from rcp_kernel.features.services import ServiceKey

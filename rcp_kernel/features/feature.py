@@ -19,9 +19,9 @@ from rcp_kernel.access.authenticator import Authenticator
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.role import Rule
 from rcp_kernel.contract.events import EventHandler
-from rcp_kernel.features.commands import CommandObserver
 from rcp_kernel.features.guard import Call, Guard
 from rcp_kernel.features.host import FeatureHost
+from rcp_kernel.features.observer import CommandObserver
 from rcp_kernel.features.resource import SystemResource
 from rcp_kernel.features.services import ServiceKey
 from rcp_kernel.sessions.accounting import Accounting

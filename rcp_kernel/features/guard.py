@@ -70,13 +70,9 @@ class Guard(ABC):
     """Whether both methods would do nothing now, so that neither is called. It is read for each call,
     and therefore an attribute."""
 
-    @property
-    def active(self) -> bool:
-        """Whether the configuration lets it refuse anything; read at the start and after a reload.
-
-        An inactive guard is skipped at no cost.
-        """
-        return True
+    active: bool = True
+    """Whether the configuration lets it refuse anything: an inactive guard is not called, nor the
+    observer of its feature. It is read once all features are made, and again after their `reconfigure`."""
 
     @abstractmethod
     def admit(self, call: Call) -> None:

@@ -48,10 +48,10 @@ class Control:
                 heir.commands[command.id] = command
 
     def running(self, path: str | None = None) -> Iterator[Command]:
-        """Iterate over the commands that run, on one path or on all."""
-        for command in list(self._commands.running.values()):
-            if command.task is not None and (path is None or command.path == path):
-                yield command
+        """Iterate over the commands that run: on one path, without a walk over all, or on all."""
+        table = self._commands
+        found = list(table.running.values()) if path is None else table.running_on(path)
+        return (command for command in found if command.task is not None)
 
     def cancel(self, command: Command, reason: str) -> None:
         """Cancel a command: the robot is notified at once."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import msgspec
@@ -67,6 +67,10 @@ class CommandTable(Protocol):
     @property
     def running(self) -> Mapping[str, Command]:
         """Those that have not ended, by id."""
+        ...
+
+    def running_on(self, path: str) -> Sequence[Command]:
+        """Return those of one path that have not ended, oldest first."""
         ...
 
     def every(self) -> Iterable[Command]:

@@ -1,4 +1,9 @@
-"""One client over time: its subscriptions, its commands, and messages not delivered yet."""
+"""One client over time: its subscriptions, its commands, and messages not delivered yet.
+
+A session owns its subscriptions, and what is kept for a client that is away. It only follows its
+commands, which `rcp_requests.journal` owns: they go on without it. What a client has acquired, such
+as a lease, belongs to the feature that gave it, under `Session.holder`; the socket to the connection.
+"""
 
 from __future__ import annotations
 
@@ -192,6 +197,7 @@ class Session:
         """Its connection when it was replaced by another session: unanswered requests are answered there."""
         self.subscriptions: dict[str, SessionSubscription] = {}
         self.commands: dict[str, OwnCommand] = {}
+        """The latest commands that it follows, by the gateway's id."""
         self.inflight: set[str] = set()
         """The unanswered requests, by id."""
         self.created = clock.now()

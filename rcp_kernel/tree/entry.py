@@ -1,16 +1,16 @@
-"""Entries of the tree, the backends behind them, and the robots that a stop stops as a whole.
+"""The tree's three parts: `Entry` (a resource), `RobotUnit` (what a stop stops), `Owner` (a backend).
 
-These three are one module because they reference one another: an entry its owner and its unit, both
-of these their entries.
+They are one module because they reference one another: an entry its owner and its unit, both of
+these their entries. `BackendSupervisor` is the `Owner` of all entries but those of `/system/`. What is
+published on an entry is in `SampledResource`, its base.
 """
 
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
 from rcp_kernel.clock import Clock, now
 from rcp_kernel.errors import AdapterUnavailable, RcpError
@@ -27,7 +27,7 @@ from rcp_kernel.spi import (
 )
 from rcp_kernel.tree.latches import Latch, Latches, robot_key, tenant_key
 from rcp_kernel.tree.lost_command import LossRecord
-from rcp_kernel.tree.samples import Form, Listener, Sample, form_of, forms
+from rcp_kernel.tree.sampled_resource import SampledResource
 from rcp_kernel.values import ValueType, value_type
 
 __all__ = [
@@ -39,8 +39,6 @@ __all__ = [
 
 Availability = Literal["starting", "ready", "degraded", "down"]
 _BY_SEVERITY = ("ready", "degraded", "starting", "down")
-_IDLE_HISTORY = 16  # samples stored of a resource without subscribers
-_HISTORY_BYTES = 4 * 1024 * 1024  # kept of one resource, at least its latest sample
 
 
 class Owner(Protocol):
@@ -110,51 +108,27 @@ class Owner(Protocol):
         ...
 
 
-class RemoteListener(Protocol):
-    """A receiver of values in another frame, which the robot's own gateway sends."""
-
-    def follow(self) -> None:
-        """Receive them with the current rights and backend."""
-        ...
-
-
-class Entry:
-    """A resource in its place in the tree."""
+class Entry(SampledResource["Owner"]):
+    """A resource in its place in the tree: who may do what with it, and whose it is."""
 
     __slots__ = (
-        "_heard",
-        "_monotonic",
-        "_now",
         "barred",
-        "clock",
         "deadline",
         "feedback_type",
-        "framed",
         "input_type",
         "is_hold",
-        "keeps_history",
         "kind",
         "label",
-        "latest",
-        "listeners",
         "live",
         "moves",
         "name",
-        "numbered",
         "operations",
         "output_type",
-        "owner",
         "parallel",
-        "path",
-        "resource",
-        "ring",
         "robot",
-        "seq",
-        "sustained",
         "takes_frame",
         "tenant",
         "unit",
-        "value_type",
     )
 
     def __init__(
@@ -166,10 +140,8 @@ class Entry:
         robot: str | None,
         clock: Clock,
     ) -> None:
-        self.path = path
+        super().__init__(path, resource, owner, clock)
         self.name = resource.name
-        self.resource = resource
-        self.owner = owner
         self.unit = owner.unit(resource.robot)
         """The robot unit it belongs to."""
         self.tenant = tenant
@@ -190,33 +162,11 @@ class Entry:
         """Whether it is the gateway's own hold service, which brings the robot to rest without an e-stop."""
         self.live = resource.live
         self.deadline = resource.deadline
-        self.value_type: ValueType = value_type(resource.value)
         self.input_type: ValueType = value_type(resource.input)
         self.output_type: ValueType = value_type(resource.output)
         self.feedback_type: ValueType = value_type(resource.feedback)
         noun = "parameter" if self.kind is Kind.PARAM else self.kind.value
         self.label = f"{noun} '{resource.name.rpartition('/')[2]}'"
-        self.latest: Sample | None = None
-        self.seq = 0
-        self.numbered = False
-        """Whether its samples have the numbers of their source: `Encoded`."""
-        self.ring: deque[Sample] = deque(maxlen=min(resource.history, _IDLE_HISTORY) or 1)
-        self.keeps_history = False
-        """Whether its whole history is stored even without subscribers."""
-        self.listeners: list[Listener] = []
-        self.framed: tuple[RemoteListener, ...] = ()
-        """Receivers of values in other frames from the robot's own gateway."""
-        self.sustained = 0.0
-        """Rate in Hz at which it is published regardless of subscribers."""
-        self.clock = clock
-        self._now = clock.now
-        self._monotonic = clock.monotonic
-        self._heard = float("-inf")
-
-    @property
-    def age(self) -> float | None:
-        """Seconds since the latest sample arrived; None if there has been none."""
-        return None if self.latest is None else self._monotonic() - self._heard
 
     @property
     def stale(self) -> bool:
@@ -224,65 +174,6 @@ class Entry:
         if self.latest is None or self.unit.usable_backend is None:
             return True
         return self.deadline is not None and self._monotonic() - self._heard > self.deadline
-
-    def publish(self, value: Any, timestamp: int | None) -> Sample:
-        """Create the next sample and offer it to every listener."""
-        received = self._now()
-        form: Form = "value"
-        if type(value) is not self.value_type.type:  # the usual value has no other form
-            kind: type = type(value)  # pyright: ignore[reportUnknownVariableType] - of any type
-            form = forms.get(kind) or form_of(value)
-        if form == "encoded":
-            if self.latest is not None and value.seq <= self.seq:
-                return self.latest
-            self.numbered = True
-            self.seq, timestamp = value.seq, value.timestamp
-        elif self.numbered:  # its source is to publish it, with a number
-            self.latest = Sample(self, value, timestamp or received, received, self.seq, form)
-            return self.latest
-        else:
-            self.seq += 1
-        sample = Sample(self, value, timestamp or received, received, self.seq, form)
-        latest = self.latest
-        if latest is not None:
-            latest.release()
-        self.latest = sample
-        self._heard = self._monotonic()
-        self.ring.append(sample)
-        self.owner.samples += 1
-        for listener in self.listeners:
-            listener.offer(sample)
-        if self.seq & 63 == 1:
-            self.size_ring()
-        return sample
-
-    def keep_history(self) -> None:
-        """Store the whole history even without subscribers."""
-        self.keeps_history = True
-        self.size_ring()
-
-    def size_ring(self) -> None:
-        """Store as many samples as history and memory allow, fewer without subscribers."""
-        length = self.resource.history
-        if not (self.listeners or self.keeps_history):
-            length = min(length, _IDLE_HISTORY)
-        if self.latest is not None and self.value_type.grows:
-            try:
-                length = min(length, _HISTORY_BYTES // max(1, self.latest.memory_size()))
-            except RcpError:
-                length = 1
-        length = max(1, length)
-        if length != self.ring.maxlen:
-            self.ring = deque(self.ring, maxlen=length)
-
-    def adopt(self, old: Entry) -> None:
-        """Continue an earlier entry of the same path: its number, samples and listeners."""
-        self.seq, self.numbered = old.seq, old.numbered
-        self.keeps_history = old.keeps_history
-        self.listeners, self.framed = old.listeners, old.framed
-        self.sustained = old.sustained
-        if old.resource.value == self.resource.value:
-            self.latest, self.ring, self._heard = old.latest, old.ring, old._heard
 
 
 class RobotUnit:

@@ -23,7 +23,7 @@ from rcp_kernel.sessions.hello import Hello
 from rcp_kernel.wire import Reply, Request, RequestType, Status
 from rcp_leases import LeaseRequest
 from rcp_requests.discovery import Query
-from rcp_requests.read import ReadOptions
+from rcp_requests.read_options import ReadOptions
 from rcp_store.store import Store
 from rcp_streams.options import Options, Qos
 from steps import finished

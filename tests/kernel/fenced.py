@@ -91,10 +91,11 @@ class FencedRobot(Robot):
             Resource(name="param/count", description="A count.", value=Int64),
             Resource(name="action/move", description="Moves.", input=Goal),
             Resource(name="action/line_up", description="Moves.", input=Goal, policy="queue"),
+            Resource(name="action/many", description="Moves.", input=Goal, policy="parallel"),
         )
 
     async def execute(self, name: str, value: Any, progress: Progress) -> Any:
-        if name not in ("action/move", "action/line_up"):
+        if name not in ("action/move", "action/line_up", "action/many"):
             return await super().execute(name, value, progress)
         self.writes.append((name, value))
         self.started.put_nowait(value)

@@ -41,12 +41,7 @@ class Noting(Guard):
 
     def __init__(self, name: str, slot: Slot, noted: list[str]) -> None:
         self.name, self.slot, self.noted = name, slot, noted
-        self.on = True
         self.act: Callable[[Call], None] = lambda _call: None
-
-    @property
-    def active(self) -> bool:
-        return self.on
 
     def admit(self, call: Call) -> None:
         self.noted.append(f"{self.name} admits {call.entry.path}")
@@ -139,7 +134,7 @@ async def test_guards_are_asked_by_slot_then_by_name_when_it_comes_in_and_when_i
 async def test_a_guard_that_is_not_active_is_not_asked_and_nobody_asks_one_about_a_stop() -> None:
     noted: list[str] = []
     idle, wakeful = Noting("idle", Slot.POLICY, noted), Noting("wakeful", Slot.POLICY, noted)
-    idle.on = False
+    idle.active = False
     await guarded(
         [idle, wakeful],
         {"type": "write", "path": "/actuator/drive", "body": {}},

@@ -50,15 +50,10 @@ class Zone(Guard, CommandObserver):
 
     def __init__(self, host: FeatureHost) -> None:
         self.host = host
-        self.on = True
         self.closed = False
         self.broken = False
         self.heard: list[tuple[str, str]] = []
         self._more = asyncio.Event()
-
-    @property
-    def active(self) -> bool:
-        return self.on
 
     def hear(self, what: str, entry: Entry) -> None:
         self.heard.append((what, entry.path))
@@ -202,7 +197,7 @@ async def test_an_idle_guard_is_not_called_until_it_is_idle_no_more(
 async def test_a_feature_whose_guard_is_not_active_hears_nothing() -> None:
     async with zoned() as world:
         kernel, zone = world.server.gateway, world.zone
-        zone.on = False
+        zone.active = False
         kernel.reconfigure(kernel.settings.config)
         assert (await world.client().ask(**GO))["status"] == "completed"
         assert zone.heard == []

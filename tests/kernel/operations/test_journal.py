@@ -86,6 +86,25 @@ async def test_an_idle_listener_is_not_called(monkeypatch: pytest.MonkeyPatch) -
     assert order.noted == [("kept", "accepted"), ("kept", "completed")]
 
 
+async def test_commands_are_known_by_their_path_until_they_end(world: World) -> None:
+    journal = world.server.gateway.journal
+    first, second, other = (
+        Command(name, f"/tenant/alpha/action/{path}", "operator", "alpha")
+        for name, path in (("first", "go"), ("second", "go"), ("other", "cut_in"))
+    )
+    for command in (first, second, other):
+        journal.write(command, Record("accepted", 1))
+    assert journal.running_on(first.path) == (first, second)
+    assert journal.running_on(other.path) == (other,)
+    journal.write(first, Record("in_progress", 2))
+    journal.write(first, Record("failed", 3))
+    assert journal.running_on(first.path) == (second,)
+    assert list(journal.running.values()) == [second, other]
+    for command in (second, other):
+        journal.write(command, Record("failed", 3))
+        assert journal.running_on(command.path) == ()
+
+
 async def test_a_finished_command_lets_go_of_its_task_and_of_who_asked(world: World) -> None:
     world.robot.release.set()
     reply: dict[str, Any] = await world.client().ask(**GO)

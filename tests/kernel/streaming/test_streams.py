@@ -287,6 +287,6 @@ async def test_updates_of_a_rate_never_come_in_pairs(world: World) -> None:
         found = [m for m in client.inbox if m["type"] == "update" and m["id"] == id_]
         times += [time.monotonic() for _ in found]
         client.inbox.clear()
-    # In pairs, every second one would follow by a ping. The machine may look late at one or two.
+    # In pairs, every second one would follow by a ping: 5 of 11. The machine may look late at a few.
     gaps = [b - a for a, b in itertools.pairwise(times)]
-    assert sum(gap < 0.04 * 0.4 for gap in gaps) <= 2, gaps
+    assert sum(gap < 0.04 * 0.4 for gap in gaps) < 5, gaps

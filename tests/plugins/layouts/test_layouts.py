@@ -194,6 +194,34 @@ async def test_their_size_and_number_are_limited() -> None:
         assert "administrator" in full["remedy"]
 
 
+async def test_one_tenant_leaves_the_room_of_the_others(tmp_path: Path) -> None:
+    config = CONFIG + table("features.layouts", most=2, of_one=2)
+    config += table("store", path=f"{tmp_path}/store.db")
+    async with served(config) as site:
+        alfred, berta, admin = site.client(ALPHA), site.client(BETA), site.client(ADMIN)
+        await own(alfred, "save", content=NOTE)
+        await shared(alfred, "save", content=NOTE)  # both count for alpha
+        for full in (
+            await own(site.client(ALSO), "save", content=NOTE),
+            await shared(alfred, "save", "b", content=NOTE),
+            await shared(admin, "save", "b", content=NOTE, tenant="alpha"),
+        ):
+            assert full["error"]["code"] == "queue_full"
+            assert "2 layouts of alpha" in full["error"]["message"]
+        for saved in (
+            await own(berta, "save", content=NOTE),
+            await shared(berta, "save", content=NOTE),
+            await shared(admin, "save", content=NOTE, tenant="*"),
+        ):
+            assert saved["status"] == "completed"
+    async with served(config) as site:  # they count for the same tenants after a restart
+        alfred, berta = site.client(ALPHA), site.client(BETA)
+        full = await own(berta, "save", "b", content=NOTE)
+        assert "2 layouts of beta" in full["error"]["message"]
+        await own(alfred, "remove", version=1)
+        assert (await own(site.client(ALSO), "save", content=NOTE))["status"] == "completed"
+
+
 async def test_layouts_outlive_a_restart(tmp_path: Path) -> None:
     config = CONFIG + table("store", path=f"{tmp_path}/store.db")
     async with served(config) as first:

@@ -24,9 +24,11 @@ from kernel.fenced import (
 from kernel.world import BOUND
 from plugins.audit.test_audit import records
 from rcp_gateway.testing import SteppedClock
+from rcp_kernel.sessions.command import Command, Record
 from rcp_kernel.types import Twist
 from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
+from work import lines_run
 
 pytestmark = pytest.mark.anyio
 
@@ -252,3 +254,40 @@ async def test_a_robot_that_moves_ends_when_a_fence_is_added_without_a_position(
         await robot.started.get()
         await reconfigured(world, EDGE)
         assert code(await agent.final(id_)) == "cancelled"
+
+
+async def test_a_position_costs_the_same_however_many_commands_run_elsewhere() -> None:
+    async with fenced(EDGE) as world:
+        agent, robot = world.client(AGENT), world.robot
+        journal = world.server.gateway.journal
+        work: list[int] = []
+        for count in (10, 2000):
+            for number in range(count):
+                path = f"/tenant/alpha/action/elsewhere/{number % 3}"
+                command = Command(f"{count}-{number}", path, "agent", "alpha")
+                journal.write(command, Record("accepted", 1))
+            robot.at(9)
+            id_ = agent.send(type="execute", path="/action/move", body=goal(5))
+            await robot.started.get()
+            robot.at(8)
+            work.append(lines_run(lambda: robot.at(7)))
+            robot.at(11)
+            assert code(await agent.final(id_)) == "cancelled"
+        assert work[0] == work[1] > 0
+
+
+async def test_commands_within_the_fence_are_not_looked_at_one_by_one() -> None:
+    edge = EDGE.replace('"/action/move"]', '"/action/**"]')
+    async with fenced(edge) as world:
+        agent, robot = world.client(AGENT), world.robot
+        robot.at(9)
+        sent = [agent.send(type="execute", path="/action/many", body=goal(5))]
+        await robot.started.get()
+        robot.at(8)
+        few = lines_run(lambda: robot.at(7))
+        for _ in range(20):
+            sent.append(agent.send(type="execute", path="/action/many", body=goal(5)))
+            await robot.started.get()
+        assert lines_run(lambda: robot.at(6)) == few > 0
+        robot.at(11)
+        assert {code(await agent.final(id_)) for id_ in sent} == {"cancelled"}

@@ -11,7 +11,7 @@ from rcp_kernel.sessions.session import Answer
 from rcp_kernel.wire import Reply
 from rcp_requests.journal import Idle
 
-__all__ = ["Listener", "Recorder"]
+__all__ = ["DurableListener", "FeatureListener"]
 
 
 class _Busy:
@@ -26,7 +26,7 @@ def _ignore_event(_event: Event) -> None:
     """Ignore an event."""
 
 
-class Listener:
+class FeatureListener:
     """A feature's listeners, and what follows from their errors."""
 
     def __init__(
@@ -56,7 +56,7 @@ class Listener:
         self.health.failed("on_command", error, command=command.id, path=command.path)
 
 
-class Recorder(Listener):
+class DurableListener(FeatureListener):
     """The listener of a feature that keeps records, and its `Durability`.
 
     Events that it did not accept are not confirmed: a write or command that was executed gets an

@@ -1,4 +1,4 @@
-"""Command events, for features that track the last command to a robot."""
+"""Observers: features that follow the last command to a robot, and every stop."""
 
 from __future__ import annotations
 
