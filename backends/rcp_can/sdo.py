@@ -192,8 +192,12 @@ class Sdo:
         self._mismatched = False
         try:
             self._bus.send(0x600 + self._node, frame)
-            async with asyncio.timeout(seconds):  # `wait_for` may swallow a cancellation
-                answer = await self._answer
+            # Neither `wait_for`, which may swallow a cancellation, nor `asyncio.timeout`: in a task that
+            # is being cancelled, Python 3.11.2 raises no TimeoutError.
+            done, _ = await asyncio.wait((self._answer,), timeout=seconds)
+            if not done:
+                raise TimeoutError
+            answer = self._answer.result()
         except TimeoutError:
             now = time.monotonic()
             owed = self._owed if now - self._owed_at < _OWES else 0

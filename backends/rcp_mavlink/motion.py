@@ -198,15 +198,12 @@ class Motion:
         task = asyncio.ensure_future(do())
         self.parting.add(task)
         task.add_done_callback(self._parted)
-        try:
-            async with asyncio.timeout(_HOLDING):
-                await asyncio.shield(task)
-        except EstopActive:
-            return  # a stop is already under way
-        except TimeoutError as error:
-            if isinstance(error, DeviceTimeout):
-                raise
-            raise DeviceTimeout("the vehicle did not confirm that it holds") from None
+        # Not `asyncio.timeout`: in a task that is being cancelled, Python 3.11.2 raises no TimeoutError.
+        done, _ = await asyncio.wait((task,), timeout=_HOLDING)
+        if not done:
+            raise DeviceTimeout("the vehicle did not confirm that it holds")
+        with suppress(EstopActive):  # a stop is already under way
+            task.result()
 
     def _parted(self, task: asyncio.Future[Any]) -> None:
         self.parting.discard(task)
