@@ -34,9 +34,6 @@ from rcp_mavlink_sim.plans import Item
 
 PARAMS = ("WPNAV_SPEED", "RTL_ALT", "GUID_TIMEOUT")
 LAT, LON = -35.3632621, 149.1652374
-TURNED = (
-    0.15  # rad that it may turn on: it completes six degrees before, and tells its heading late
-)
 HEADING, KEPT = 90.0, 0.05  # deg that it looks to at first, rad by which it may stray from it
 GUIDED = 4
 HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
@@ -294,7 +291,7 @@ class MavlinkRig(Hurried, StopRig):
                 self.calibrating.cancel()
                 return vehicle.calibrations.position == 2
             case "action/turn":
-                return abs(math.remainder(vehicle.body.yaw - result["heading"], math.tau)) < TURNED
+                return abs(math.remainder(vehicle.body.yaw - result["heading"], math.tau)) < KEPT
             case "action/orbit":
                 return flight.mode is Mode.GUIDED
             case "action/follow":
