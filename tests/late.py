@@ -8,16 +8,16 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager, closing
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import msgspec
 
 from configuration import backend, listener, table
+from ports import free_port
 from rcp_gateway import server
 from rcp_gateway.log import configure
 from rcp_gateway.testing import serve
@@ -40,9 +40,7 @@ class LateGateway:
     """The gateway over its several processes."""
 
     def __init__(self, late: float) -> None:
-        with closing(socket.socket()) as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port: int = probe.getsockname()[1]
+        self.port = free_port()
         self._late = late
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-import socket
 from collections.abc import AsyncGenerator, Generator
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
@@ -18,19 +17,13 @@ from issuer import Key
 from node import node, npm_packages
 from rcp_jwt import documents, issuers
 
-__all__ = ["CLIENT", "SECRET", "Provider", "free_port", "login_table", "patience", "providing"]
+__all__ = ["CLIENT", "SECRET", "Provider", "login_table", "patience", "providing"]
 
 SCRIPT = Path(__file__).parent / "npm" / "oidc" / "provider.mjs"
 CLIENT = "gateway of this test"  # a space and a plus tell whether its encoding is right
 SECRET = "a+secret of this/test, long enough"
 PEOPLE = {"ann": ["drivers"], "eve": []}
 _BOUND = 60.0  # s that the program may take to answer
-
-
-def free_port() -> int:
-    """Return a port that nobody has now: the provider has to know the gateway's before it is there."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 def login_table(issuer: str, port: int, more: str = "", scheme: str = "http") -> str:

@@ -34,6 +34,9 @@ spec.loader.exec_module(shared)
 shared._REST = 4
 globals().update({{k: v for k, v in vars(shared).items() if k.startswith("pytest_")}})
 
+def pytest_xdist_auto_num_workers(config):
+    return 2  # one that goes on while the other hangs: each takes seconds to start
+
 def pytest_runtest_logstart(nodeid):
     shared.pytest_runtest_logstart(nodeid)
     if shared._leading and "takes_long" in nodeid:

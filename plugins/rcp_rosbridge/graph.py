@@ -124,8 +124,10 @@ class RosParameter:
 class Graph:
     """The graph of what one session may see of its tenant."""
 
-    def __init__(self, tenant: str | None) -> None:
+    def __init__(self, tenant: str | None, *, complete: bool = True) -> None:
+        """Begin without `complete` where a backend may still declare more: it is opening, or looks."""
         self._tenant = tenant
+        self.complete = complete
         self.topics: dict[str, RosTopic] = {}
         self.services: dict[str, RosService] = {}
         self.actions: dict[str, RosAction] = {}

@@ -39,6 +39,7 @@ class Graphs:
         generation = self._client_api.generation(session)
         resources: list[Facts] = []
         query: Query | None = Query(limit=_PAGE)
+        complete = True
         pattern = "/tenant/**" if tenant is None else f"/tenant/{tenant}/**"
         while query is not None:
             page = yield from self._client_api.discover(session, pattern, query)
@@ -50,10 +51,11 @@ class Graphs:
                     if one.schema_encoding == "ros2msg"
                 }
                 resources.append({**facts, "texts": texts})
+            complete = complete and page.get("complete", True)
             cursor = page.get("cursor")
             query = None if cursor is None else Query(limit=_PAGE, cursor=cursor)
             yield
-        graph = Graph(tenant)
+        graph = Graph(tenant, complete=complete)
         yield from graph.build(resources)
         self._known.setdefault(rights, {})[tenant] = (generation, graph)
         return graph

@@ -25,19 +25,21 @@ __all__ = ["Offering"]
 _MOST = 256  # services and actions that a client offers
 _AGAIN = 0.25  # s between two attempts at a name of a client that may just have gone
 _ATTEMPTS = 8
+_OPENING = 1.0  # s between two looks for where to offer, while backends open
 _Key = tuple[str, str]
 
 
 class _Offer:
     """A service or action of the client."""
 
-    __slots__ = ("attempts", "command", "key", "type", "withdrawn")
+    __slots__ = ("attempts", "command", "key", "type", "waited", "withdrawn")
 
     def __init__(self, key: _Key, type_: str) -> None:
         self.key = key
         self.type = type_
         self.command: str | None = None
         self.attempts = 0
+        self.waited = False
         self.withdrawn = False
 
 
@@ -85,6 +87,9 @@ class Offering:
             return
 
         def use(graph: Graph) -> None:
+            if graph.offering is None and not graph.complete:
+                self._wait(offer, id_)
+                return
             try:
                 self._execute(offer, graph, id_)
             except AlreadyRunning as error:
@@ -131,6 +136,14 @@ class Offering:
             self._taken(offer, complaint(reply), id_)
         else:
             self._failed(offer, complaint(reply), id_)
+
+    def _wait(self, offer: _Offer, id_: str | None) -> None:
+        """Try again when more backends are open: the page came back before the gateway had all of them."""
+        if not offer.waited:
+            offer.waited = True
+            text = f"{offer.key[1]}: nothing here takes offers yet; it is offered when a backend that is still opening does"
+            self._context.status.warning(text, id_, f"offer {offer.key[1]}")
+        self._context.client_api.loop.call_later(_OPENING, self._begin, offer, id_)
 
     def _taken(self, offer: _Offer, error: RcpError | str, id_: str | None) -> None:
         """Try again soon: the page that had the name may have been loaded again."""

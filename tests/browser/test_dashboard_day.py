@@ -19,7 +19,8 @@ from playwright.async_api import Browser, expect
 import rcp_dashboard.pages
 from browser.robots import until
 from browser.watched import Watched, log_in, require_pages, watched
-from browser.worlds import KEY, OTHER, SPARE, World, free_port, line, live, world
+from browser.worlds import KEY, OTHER, SPARE, World, line, live, world
+from ports import free_port
 from rcp_dashboard.pages import STATIC
 
 pytestmark = pytest.mark.anyio

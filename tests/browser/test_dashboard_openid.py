@@ -11,7 +11,8 @@ from playwright.async_api import Browser, Page, expect
 from browser.watched import require_pages
 from certs import Authority
 from configuration import tls
-from openid import Provider, free_port, login_table, providing
+from openid import Provider, login_table, providing
+from ports import free_port
 from transports.robot import Site, site
 
 pytestmark = pytest.mark.anyio

@@ -11,8 +11,9 @@ from playwright.async_api import Browser, Dialog, Page, expect
 
 from browser.test_dashboard_parameters import GAINS, field, looking
 from browser.watched import Watched
-from browser.worlds import Teller, free_port, world
+from browser.worlds import Teller, world
 from configuration import role, rule
+from ports import free_port
 from rcp_kernel.model import Resource
 
 pytestmark = pytest.mark.anyio

@@ -104,6 +104,7 @@ async def watched(browser: Browser, url: str, **options: Any) -> AsyncGenerator[
     desk: dict[str, Any] = {"viewport": {"width": 1366, "height": 860}, "service_workers": "block"}
     context = await browser.new_context(**(desk | options))
     context.set_default_timeout(60_000)  # ms
+    context.set_default_navigation_timeout(180_000)  # on a busy machine the first page takes long
     await context.add_init_script(_VIOLATION)
     try:
         found = Watched(await context.new_page(), url)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -24,7 +23,6 @@ __all__ = [
     "Silent",
     "Teller",
     "World",
-    "free_port",
     "line",
     "live",
     "world",
@@ -65,12 +63,6 @@ class World:
 def live(name: str, **more: Any) -> Resource:
     """Describe what a robot tells by itself: any value at all."""
     return Resource(name=name, description="Whatever it is.", value=Any, live=True, **more)
-
-
-def free_port() -> int:
-    """Return a port that nobody has now."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
 
 
 @asynccontextmanager

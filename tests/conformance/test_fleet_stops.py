@@ -13,7 +13,8 @@ pytest.importorskip("zenoh")
 
 import rcp_fleet
 import rcp_sim
-from backends.fleet.rig import appears, free_port, robot_at, serving
+from backends.fleet.rig import appears, robot_at, serving
+from ports import free_port
 from rcp_gateway.testing import ADMIN, Goal, Robot, Served, StopSuite, eventually
 from rcp_kernel.errors import RcpError
 from rcp_sim.messages import FaultSpec

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import secrets
-import socket
 import struct
 import threading
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ pytest.importorskip("zenoh")
 import zenoh
 from zenoh.handlers import Callback
 
+from ports import free_port
 from rcp_gateway.server import Server
 from rcp_gateway.testing import BOUND, Client, TransportSuite, decode
 from rcp_kernel.values import Encoding
@@ -107,17 +107,11 @@ class ZenohClient(Client):
             self._messages.undeclare()
 
 
-def _free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
-
-
 class TestZenoh(TransportSuite):
     @pytest.fixture(autouse=True)
     def router(self, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         """A router, which the gateway of the suite joins."""
-        endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        endpoint = f"tcp/127.0.0.1:{free_port()}"
         table = {"gateway": "r7", "tenant": "alpha", "connect": [endpoint]}
         monkeypatch.setattr(type(self), "transports", {"zenoh": table})
         config = zenoh.Config()

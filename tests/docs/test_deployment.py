@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import socket
 import subprocess
 from contextlib import suppress
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 
 from docs.demo import BIN
 from docs.pages import DOCS, ROOT
+from ports import free_port
 
 _BASH = r"^```bash\n(.*?)^```"
 _PLACE = "From the demo to a safe deployment"
@@ -34,12 +34,6 @@ def walk() -> str:
     assert blocks.count(served) == 1
     steps = [_SERVE if block == served else f"set -v\n{block}set +v\n" for block in blocks]
     return "set -euo pipefail\nexec 2>&1\n" + "\n".join(steps)
-
-
-def free_port() -> int:
-    with socket.socket() as made:
-        made.bind(("127.0.0.1", 0))
-        return made.getsockname()[1]
 
 
 def test_the_way_to_a_safe_deployment_is_walked(tmp_path: Path) -> None:

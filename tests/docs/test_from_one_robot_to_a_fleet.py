@@ -15,10 +15,10 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import free_port
 from docs.blocks import blocks_of
 from docs.demo import BIN
 from docs.pages import DOCS
+from ports import free_port
 from rcp_client import connect
 from rcp_client.errors import RcpError
 from rcp_gateway.testing import eventually

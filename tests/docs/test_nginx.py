@@ -13,6 +13,7 @@ from urllib.request import Request, urlopen
 import rcp_client
 from configuration import backend, key, listener
 from docs.blocks import BLOCKS
+from ports import free_port
 from programs import program
 from rcp_gateway.testing import eventually
 from serving import serving
@@ -40,9 +41,7 @@ http {{
 @contextmanager
 def proxy(folder: Path, gateway: str) -> Generator[str]:
     """Run nginx with the page's block before a gateway; yield its address."""
-    with socket.socket() as made:
-        made.bind(("127.0.0.1", 0))
-        port = made.getsockname()[1]
+    port = free_port()
     block = _BLOCK.replace("http://127.0.0.1:8080", gateway).replace(
         "listen 443 ssl;", f"listen 127.0.0.1:{port};"
     )

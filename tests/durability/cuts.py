@@ -13,7 +13,6 @@ from __future__ import annotations
 import asyncio
 import json
 import random
-import socket
 import sys
 from collections import Counter
 from collections.abc import AsyncGenerator, Awaitable, Callable
@@ -25,6 +24,7 @@ import msgspec
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from ports import free_port
 from rcp_client.address import Address
 from rcp_client.client import Client
 from rcp_client.messages import Codec, Notice
@@ -284,12 +284,6 @@ async def _until(holds: Callable[[], bool], what: str) -> None:
         raise AssertionError(f"{what}: not within {BOUND} s") from None
 
 
-def _free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
-
-
 def _no_feed(_id: str | None) -> None:
     return None
 
@@ -322,7 +316,7 @@ async def _own_client(port: int, campaign: Campaign) -> AsyncGenerator[Client]:
 
 async def campaign(cuts: int, *, alone: bool) -> Counter[str]:
     """Cut so many times, and check everything."""
-    one, port = Campaign(alone=alone), _free_port()
+    one, port = Campaign(alone=alone), free_port()
     kind = BackendKind("robot", msgspec.Struct, one.robot.opened)
     async with AsyncExitStack() as stack:
         enter = stack.enter_async_context

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ pytest.importorskip("zenoh")
 
 from configuration import backend, key, listener, table
 from durability.process import ADMIN, CONFIG, Served, until
+from ports import free_port
 
 _ROUTER = """
 import signal, sys
@@ -33,9 +33,7 @@ class Fleet:
     """The processes: one hub, or two."""
 
     def __init__(self, folder: Path, *hubs: str) -> None:
-        with socket.socket() as one:
-            one.bind(("127.0.0.1", 0))
-            self._endpoint = f"tcp/127.0.0.1:{one.getsockname()[1]}"
+        self._endpoint = f"tcp/127.0.0.1:{free_port()}"
         self._folder = folder
         self._router = self._start_router()
         self.robot = self.start_robot()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import AsyncGenerator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from functools import partial
@@ -15,6 +14,7 @@ from configuration import backend, configuration, key, table
 
 pytest.importorskip("zenoh")
 
+from ports import free_port
 from rcp_gateway.testing import BOUND, OPERATOR, MemoryClient, Served, eventually, serve
 from rcp_gateway.testing.wire import ROBOT
 from transports.cable import Cable
@@ -36,12 +36,6 @@ def _hub(port: int, token: str = OPERATOR) -> str:
     listen = [f"tcp/127.0.0.1:{port}"]
     fleet = backend("fleet", use="fleet", hub="h1", listen=listen, token=token)
     return configuration(fleet, _OPERATOR)
-
-
-def _free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 @asynccontextmanager
@@ -77,7 +71,7 @@ def _of_robots(found: dict[str, Any]) -> list[dict[str, Any]]:
 async def _fleet(
     use: str = "sim", **fields: Any
 ) -> AsyncGenerator[tuple[Served, Served, MemoryClient]]:
-    port = _free_port()
+    port = free_port()
     async with AsyncExitStack() as stack:
         hub = await stack.enter_async_context(_serving(_hub(port)))
         robot = await stack.enter_async_context(_serving(_robot(port, use, **fields)))
@@ -132,7 +126,7 @@ async def test_a_subscription_passes_values_on() -> None:
 
 
 async def test_a_gateway_that_leaves_is_down_and_comes_back_by_itself() -> None:
-    port = _free_port()
+    port = free_port()
     async with _serving(_hub(port)) as hub:
         client = hub.client(OPERATOR)
         async with _serving(_robot(port)):
@@ -150,7 +144,7 @@ async def test_a_hub_has_no_more_links_than_a_gateway_can_bear() -> None:
     from rcp_zenoh.session import configuration as zenoh_configuration
     from rcp_zenoh.session import opened
 
-    port = _free_port()
+    port = free_port()
     async with _serving(_hub(port)) as hub, _serving(_robot(port)) as robot:
         client = hub.client(OPERATOR)
         await _appears(client, "/tenant/alpha/*/r7/**")
@@ -169,7 +163,7 @@ async def test_a_hub_has_no_more_links_than_a_gateway_can_bear() -> None:
 
 
 async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
-    port = _free_port()
+    port = free_port()
     async with _serving(_hub(port, "nobody-knows-this-key")) as hub, _serving(_robot(port)):
         await _comes(lambda: bool(hub.supervisor.unit("r7").detail), "the refusal is in the status")
         client = hub.client(OPERATOR)
@@ -181,7 +175,7 @@ async def test_a_hub_that_cannot_prove_itself_gets_nothing() -> None:
 
 
 async def test_a_command_outlives_a_cut_link_and_ends_once() -> None:
-    port = _free_port()
+    port = free_port()
     async with (
         _serving(_hub(port)) as hub,
         Cable(port).laid() as cable,
@@ -203,7 +197,7 @@ async def test_a_command_outlives_a_cut_link_and_ends_once() -> None:
 
 
 async def test_a_robot_finds_a_hub_that_was_restarted() -> None:
-    port = _free_port()
+    port = free_port()
     async with AsyncExitStack() as first, AsyncExitStack() as stack:
         hub = await first.enter_async_context(_serving(_hub(port)))
         await stack.enter_async_context(_serving(_robot(port)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 
 import pytest
 
@@ -12,6 +11,7 @@ pytest.importorskip("zenoh")
 import msgspec
 import zenoh
 
+from ports import free_port
 from rcp_gateway.testing import OPERATOR, eventually, serve
 from rcp_gateway.testing.wire import ROBOT
 from rcp_kernel.config.file import parse
@@ -91,9 +91,7 @@ class _Hub:
 
 
 def _router() -> tuple[int, zenoh.Config]:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        port = one.getsockname()[1]
+    port = free_port()
     return port, configuration("router", listen=[f"tcp/127.0.0.1:{port}"], silence=60.0)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import socket
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
@@ -12,6 +11,7 @@ import pytest
 from structlog.testing import capture_logs
 
 from configuration import backend, configuration, key, table
+from ports import free_port
 
 pytest.importorskip("zenoh")
 
@@ -52,12 +52,6 @@ async def _stranger(port: int) -> AsyncGenerator[zenoh.Session]:
     config = zenoh_configuration("client", connect=[f"tcp/127.0.0.1:{port}"])
     async with opened(config, patient=True) as session:
         yield session
-
-
-def _port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 async def _has_robot(hub: Served) -> None:
@@ -107,7 +101,7 @@ async def test_strangers_take_no_place_of_a_hub_and_are_told_why_their_links_end
     monkeypatch.setattr(declared_keys, "_MOST", 8)
     monkeypatch.setattr(transport, "_UNPROVED", 8)
     monkeypatch.setattr(transport, "_MOST", 8)
-    port = _port()
+    port = free_port()
     async with _robot(port, _CLOSED) as rows:
         async with _hub(port) as hub, _stranger(port) as stranger, _told(stranger) as said:
             await _has_robot(hub)
@@ -126,7 +120,7 @@ async def test_a_session_whose_keys_are_used_up_is_opened_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(declared_keys, "_MOST", 64)
-    port = _port()
+    port = free_port()
     with capture_logs() as logs:
         async with _robot(port) as rows:
             async with _hub(port) as hub, _stranger(port) as stranger:
@@ -149,7 +143,7 @@ async def test_a_refusal_is_told_to_the_hub_and_logged_now_and_then(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(transport, "_OF_ONE", 4)
-    port = _port()
+    port = free_port()
     with capture_logs() as logs:
         async with (
             _robot(port),

@@ -53,7 +53,9 @@ export class Link {
     return this.#socket.bufferedAmount;
   }
 
+  /** Send a request; of a socket that is closing `closed` tells, and a browser complains of what is sent on it. */
   send(request: Request): void {
+    if (this.#socket.readyState !== WebSocket.OPEN) return;
     this.#socket.send(this.#encode(request));
   }
 }

@@ -211,7 +211,7 @@ class StuckBus:
 
     def send(self, message: can.Message, timeout: float) -> None:
         self._loop.call_soon_threadsafe(self.held.set)
-        assert self.gate.wait(5)
+        assert self.gate.wait(60)
         self.sent.append(message.arbitration_id)
 
     def shutdown(self) -> None:

@@ -87,13 +87,15 @@ def tables(name: str) -> dict[str, Any]:
 
 
 @asynccontextmanager
-async def arm(*, enabled: bool = True) -> AsyncGenerator[Arm]:
+async def arm(*, enabled: bool = True, **group: Any) -> AsyncGenerator[Arm]:
     name = channel()
     line = can.Bus(name, "virtual", ignore_config=True)
     options: dict[str, Any] = {"mit": {"reply_id": 0x100}}
     twins = [make_twin(p, node, **options.get(p, {})) for p, node in PROFILES.values()]
     with Bench(line, twins) as bench:
-        async with opened(tables(name)) as rig:
+        table = tables(name)
+        table["joint_groups"]["arm"] |= group
+        async with opened(table) as rig:
             found = Arm(rig, bench, name)
             if enabled:
                 await found.ran("service/arm/enable")

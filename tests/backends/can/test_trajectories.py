@@ -388,7 +388,8 @@ async def test_a_joint_that_is_held_back_aborts_the_trajectory_to_a_stop() -> No
 async def test_a_host_that_stands_still_resumes_without_a_leap(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async with arm() as rig:
+    # However long a busy machine lets it stand besides, no joint is given up.
+    async with arm(tracking_tolerance=10.0) as rig:
         sent: dict[str, list[float]] = {name: [] for name in rig.axes}
         stalls: list[float] = []
 

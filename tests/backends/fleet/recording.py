@@ -16,8 +16,9 @@ from typing import Any, Self
 import msgspec
 import zenoh
 
-from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import appears, hub_at, robot_at, serving
 from configuration import key
+from ports import free_port
 from rcp_fleet.link import FleetLink
 from rcp_gateway.testing import ADMIN
 from rcp_kernel.contract.version import gateway_version

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import socket
 import sys
 from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
@@ -21,7 +20,6 @@ __all__ = [
     "SIM",
     "appears",
     "catalogue",
-    "free_port",
     "hub_at",
     "process_of",
     "recorded",
@@ -32,13 +30,6 @@ __all__ = [
 SIM = backend("rover", use="sim")
 _OPERATOR = key("operator", OPERATOR)
 _BOUND = 60.0  # s, on any machine
-
-
-def free_port() -> int:
-    """Return a port that nobody listens on."""
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 def robot_at(port: int, robot: str = SIM, gateway: str = "r7") -> str:

@@ -11,8 +11,9 @@ from msgspec import Meta
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import SIM, appears, catalogue, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import SIM, appears, catalogue, hub_at, robot_at, serving
 from configuration import backend
+from ports import free_port
 from rcp_gateway.testing import OPERATOR, Client, ScriptedRobot, eventually, scripted
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import Host

@@ -17,9 +17,10 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, free_port, hub_at
+from backends.fleet.rig import appears, hub_at
 from certs import Authority
 from hubkeys import HubKey
+from ports import free_port
 from rcp_gateway.server import prepare
 from rcp_gateway.testing import OPERATOR, serve
 from rcp_hubs.cli import enroll

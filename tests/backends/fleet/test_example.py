@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import free_port
+from ports import free_port
 from rcp_client import Client, connect
 from rcp_client.errors import RcpError
 from rcp_gateway.testing import eventually

@@ -11,8 +11,9 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, catalogue, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import appears, catalogue, hub_at, robot_at, serving
 from configuration import key, role, rule, table
+from ports import free_port
 from rcp_fleet.frames import FrameLists
 from rcp_fleet.values import RobotValue
 from rcp_gateway.reload import apply

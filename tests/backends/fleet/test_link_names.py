@@ -14,7 +14,8 @@ pytest.importorskip("zenoh")
 
 import zenoh
 
-from backends.fleet.rig import free_port, robot_at, serving
+from backends.fleet.rig import robot_at, serving
+from ports import free_port
 from rcp_client.address import Address
 from rcp_client.carrier import Lost, Received
 from rcp_client.client import Client

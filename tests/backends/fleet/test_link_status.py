@@ -16,7 +16,6 @@ pytest.importorskip("zenoh")
 from backends.fleet.rig import (
     appears,
     catalogue,
-    free_port,
     hub_at,
     process_of,
     robot_at,
@@ -24,6 +23,7 @@ from backends.fleet.rig import (
 )
 from configuration import backend, key, listener
 from plugins.client.rcpctl import BIN, BOUND
+from ports import free_port
 from rcp_gateway.testing import (
     OPERATOR,
     Client,

@@ -18,7 +18,6 @@ from click.testing import CliRunner
 from backends.fleet.rig import (
     appears,
     catalogue,
-    free_port,
     hub_at,
     process_of,
     recorded,
@@ -26,6 +25,7 @@ from backends.fleet.rig import (
 )
 from certs import Authority, Signed
 from configuration import key, table
+from ports import free_port
 from rcp_gateway.server import prepare
 from rcp_gateway.testing import ADMIN, OPERATOR, Served, eventually, serve
 from rcp_kernel.config.file import parse

@@ -11,8 +11,9 @@ import pytest
 pytest.importorskip("zenoh")
 
 from backends.fleet.cart import Cart
-from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import appears, hub_at, robot_at, serving
 from configuration import backend, configuration, key, listener
+from ports import free_port
 from rcp_client import connect
 from rcp_fleet.backend import FleetBackend
 from rcp_fleet.gateway import followed

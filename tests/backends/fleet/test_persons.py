@@ -11,8 +11,9 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, free_port, hub_at, recorded, robot_at
+from backends.fleet.rig import appears, hub_at, recorded, robot_at
 from hubkeys import HubKey
+from ports import free_port
 from rcp_client.messages import Notice
 from rcp_gateway.reload import apply
 from rcp_gateway.server import prepare

@@ -15,8 +15,9 @@ import pytest
 pytest.importorskip("zenoh")
 
 import rcp_sim
-from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import appears, hub_at, robot_at, serving
 from configuration import backend, configuration, listener, table
+from ports import free_port
 from rcp_fleet import rcp_backends
 from rcp_gateway.testing import OPERATOR, Body, ProfileSuite, Robot, Served
 

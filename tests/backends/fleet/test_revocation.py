@@ -9,8 +9,9 @@ from click.testing import CliRunner
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, free_port, hub_at, robot_at
+from backends.fleet.rig import appears, hub_at, robot_at
 from hubkeys import HubKey
+from ports import free_port
 from rcp_gateway.testing import ADMIN, OPERATOR, Served, eventually, serve
 from rcp_hubs.cli import fleet
 from rcp_hubs.revocation import REVOCATIONS, RevocationList, sign_list

@@ -14,10 +14,11 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import SIM, free_port
+from backends.fleet.rig import SIM
 from configuration import backend, key, listener, role, rule, table
 from durability.process import until
 from hubkeys import HubKey
+from ports import free_port
 from rcp_client import Client, connect
 from rcp_gateway.testing import ADMIN, OPERATOR, VIEWER, eventually
 from rcp_kernel.errors import RcpError, UnknownPath

@@ -10,7 +10,7 @@ pytest.importorskip("zenoh")
 
 import zenoh
 
-from backends.fleet.rig import free_port
+from ports import free_port
 from rcp_zenoh.session import configuration, opened
 
 _MANY = 400  # beyond what shared memory allows on one machine

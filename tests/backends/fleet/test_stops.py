@@ -15,8 +15,9 @@ import pytest
 pytest.importorskip("zenoh")
 
 from backends.fleet.cart import Cart
-from backends.fleet.rig import SIM, appears, free_port, hub_at, process_of, robot_at, serving
+from backends.fleet.rig import SIM, appears, hub_at, process_of, robot_at, serving
 from configuration import backend, configuration, key, listener, table
+from ports import free_port
 from rcp_client import ConnectionLost, connect
 from rcp_gateway.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted
 from transports.cable import Cable

@@ -16,13 +16,14 @@ from cryptography import x509
 pytest.importorskip("zenoh")
 
 from backends.fleet.cart import Cart
-from backends.fleet.rig import appears, catalogue, free_port, process_of, serving
+from backends.fleet.rig import appears, catalogue, process_of, serving
 from certs import Authority, Signed
 from clients.test_typescript import typescript
 from configuration import backend, configuration, key, listener, table
 from hubkeys import HubKey
 from plugins.client.heard import Heard
 from plugins.client.test_codegen import node
+from ports import free_port
 from rcp_client import Client as Person
 from rcp_client import ConnectionLost, connect
 from rcp_gateway.testing import ADMIN, OPERATOR, Client, Served, eventually, scripted

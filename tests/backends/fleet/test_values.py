@@ -12,8 +12,9 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import appears, hub_at, robot_at, serving
 from configuration import backend
+from ports import free_port
 from rcp_fleet.values import RobotNumbers, RobotValue
 from rcp_gateway.testing import OPERATOR, Client, ScriptedRobot, Served, eventually, scripted
 from rcp_kernel.model import Resource

@@ -11,8 +11,9 @@ import pytest
 pytest.importorskip("zenoh")
 
 from backends.fleet.recording import FOLDER, RecordedGateway, exchanges
-from backends.fleet.rig import SIM, appears, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import SIM, appears, hub_at, robot_at, serving
 from configuration import configuration, key, role, rule, table
+from ports import free_port
 from rcp_gateway.testing import ADMIN, OPERATOR, Client, eventually
 from rcp_kernel.values import value_type
 

@@ -16,6 +16,7 @@ import websockets
 import rcp_mavlink
 from backends.mavlink.flying import agrees, airborne, twin
 from configuration import backend, key, listener
+from ports import free_port
 from rcp_gateway.testing import eventually, serve
 from rcp_gateway.testing._serve import OPERATOR, serve_backend
 from rcp_kernel.config.file import parse
@@ -24,12 +25,6 @@ from rcp_mavlink.signing import key_of
 from rcp_mavlink_sim.modes import Mode
 
 KIND = next(iter(rcp_mavlink.rcp_backends()))
-
-
-def free_port(kind: int) -> int:
-    with socket.socket(socket.AF_INET, kind) as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
 
 
 @asynccontextmanager

@@ -26,6 +26,7 @@ from rcp_ros2.backend import Ros2Backend
 BOUND = 60.0  # s that any wait of a test may take: discovery on a busy machine takes long
 _DOMAINS = (*range(1, 101), *range(215, 232))
 """Those whose ports the system gives to nobody by itself."""
+_ENDS = 20.0  # s that a peer has to leave the graph in good order
 _UNMAPPED = 10.0  # s within which a process on a busy machine has mapped what it has made
 
 
@@ -288,14 +289,14 @@ class Peer:
             assert self._process.stdin is not None
             self._process.stdin.close()
             try:
-                self._process.wait(5)
+                self._process.wait(_ENDS)
             except subprocess.TimeoutExpired:
                 self._process.kill()
         self._reap()
 
     def _reap(self) -> None:
         if self._process is not None:
-            self._process.wait(5)
+            self._process.wait(BOUND)
             for pipe in (self._process.stdin, self._process.stdout):
                 if pipe is not None:
                     pipe.close()

@@ -86,11 +86,16 @@ async def framed(casters: tuple[int, RobotNodes]) -> AsyncIterator[tuple[Robot, 
 
 
 async def repeated(robot: Robot, once: Callable[[], bool]) -> None:
-    """Do something until it is heard: nothing tells a publisher whom it has found."""
+    """Do something until it is heard: nothing tells a publisher whom it has found.
+
+    Each time it is waited for longer: on a busy machine it is heard after the next one was said.
+    """
+    pause = 0.1
     async with asyncio.timeout(BOUND):
         while not once():
             with suppress(TimeoutError):
-                await robot.until(lambda: False, 0.1)
+                await robot.until(lambda: False, pause)
+            pause *= 2
 
 
 async def lookup(robot: Robot, target: str, source: str, at: float | None = None) -> Any:

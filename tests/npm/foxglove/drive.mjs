@@ -209,7 +209,7 @@ async function once() {
 
 async function reconnected() {
   const ids = [];
-  const deadline = Date.now() + 2 * PATIENCE; // two gateways start meanwhile
+  const deadline = Date.now() + 3 * PATIENCE; // two gateways start meanwhile
   while (ids.length < 2 && Date.now() < deadline) {
     const session = new Session(given.url, given.subprotocol);
     if ((await session.first("open", "close", "error")) !== "open") {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 from collections.abc import AsyncGenerator, Callable, Generator
 from pathlib import Path
@@ -15,6 +14,7 @@ import rcp_client
 from plugins.client import rcpctl
 from plugins.client.gateway import OPERATOR, Gateway
 from plugins.client.proxy import Proxy
+from ports import free_port
 from serving import serving
 
 
@@ -35,9 +35,7 @@ def alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 @pytest.fixture
 def unused_port() -> int:
     """A port that nobody listens on."""
-    with socket.socket() as made:
-        made.bind(("127.0.0.1", 0))
-        return made.getsockname()[1]
+    return free_port()
 
 
 @pytest.fixture

@@ -289,7 +289,7 @@ async def test_a_gateway_that_does_not_answer_hello_is_not_waited_for() -> None:
     async with asyncio.timeout(BOUND), peer() as gateway:
         gateway.greet = lambda _: None
         with pytest.raises(ConnectionLost, match="does not answer `hello`"):
-            async with connect(gateway.url, encoding="json", connect_timeout=0.2):
+            async with connect(gateway.url, encoding="json", connect_timeout=1.0):
                 pass
 
 

@@ -14,6 +14,7 @@ from configuration import backend, key, listener, role, rule, table
 from rcp_foxglove import rcp_adapters
 from rcp_gateway.testing import ScriptedRobot
 from rcp_gateway.testing._serve import Served, serve
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.errors import DeviceRejected
 from rcp_kernel.model import NativeType, Operation, Resource
@@ -150,6 +151,7 @@ async def site(
     own_port: int | None = None,
     more: str = "",
     kinds: tuple[BackendKind, ...] = (),
+    clock: Clock = SYSTEM_CLOCK,
     **options: Any,
 ) -> AsyncGenerator[Site]:
     """Run a gateway; the options are those of the adapter."""
@@ -177,6 +179,6 @@ async def site(
     )
     kind = BackendKind("robot", NoOptions, open_robot)
     config = parse(text, "test")
-    async with serve(config, kind, *kinds, adapters=tuple(rcp_adapters())) as served:
+    async with serve(config, kind, *kinds, adapters=tuple(rcp_adapters()), clock=clock) as served:
         await asyncio.wait_for(opened.wait(), 60)
         yield Site(served, made)

@@ -14,12 +14,13 @@ from configuration import key, role, rule, table
 from plugins.foxglove.rig import ADMIN, OPERATOR, WATCHER, Site, site
 from plugins.foxglove.viewer import BOUND, Viewer, viewing
 from rcp_foxglove.leases import Leases
-from rcp_gateway.testing import eventually
+from rcp_gateway.testing import SteppedClock, eventually
 from rcp_kernel.model import Resource
 from rcp_kernel.types import AngularVelocity, LinearVelocity, Twist, quantity
 
 pytestmark = pytest.mark.anyio
 AHEAD = {"linear": {"x": 0.5}}
+LONG = 10.0  # s that a velocity is valid: longer than any machine takes to pass it on
 
 
 async def advertised(viewer: Viewer, topic: str = "/cmd_vel", encoding: str = "json") -> None:
@@ -58,10 +59,17 @@ async def test_a_message_in_the_robots_own_bytes_is_decoded_and_checked(
     await viewer.until(lambda: "not a pkg/msg/Drive" in str(viewer.statuses))
 
 
-async def test_without_further_messages_the_dead_man_stops_the_robot() -> None:
-    async with site(valid_for=0.1) as made, viewing(made.url, OPERATOR) as viewer:
+async def test_without_further_messages_the_dead_man_stops_the_robot(
+    stepped: SteppedClock,
+) -> None:
+    async with (
+        site(valid_for=LONG, clock=stepped.clock) as made,
+        viewing(made.url, OPERATOR) as viewer,
+    ):
         await advertised(viewer)
         await viewer.publish(3, AHEAD)
+        assert await written(made) == [Twist(LinearVelocity(0.5))]
+        stepped.advance(2 * LONG)
         assert (await written(made, 2))[-1] == Twist()
 
 
@@ -153,18 +161,22 @@ async def test_a_lease_is_acquired_where_one_is_required_and_released_at_the_end
 
 
 async def test_a_velocity_that_waited_for_its_lease_too_long_is_not_driven(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, stepped: SteppedClock
 ) -> None:
     """As that of a robot with a gateway of its own, which is asked over a slow link."""
     usual, asked = Leases.acquire, asyncio.Event()
 
     async def slow(self: Leases, path: str) -> Any:
-        await asyncio.sleep(0.6)  # longer than the velocity is valid
+        if not asked.is_set():
+            stepped.advance(2 * LONG)
         asked.set()
         return await usual(self, path)
 
     monkeypatch.setattr(Leases, "acquire", slow)
-    async with site(more=LEASED) as made, viewing(made.url, OPERATOR) as viewer:
+    async with (
+        site(more=LEASED, valid_for=LONG, clock=stepped.clock) as made,
+        viewing(made.url, OPERATOR) as viewer,
+    ):
         await advertised(viewer)
         await viewer.publish(3, AHEAD)
         async with asyncio.timeout(BOUND):
@@ -285,8 +297,11 @@ async def test_of_other_messages_a_slow_robot_gets_all_that_fit_into_the_bytes_o
     assert await written(gateway, len(short)) == short
 
 
-async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
-    async with site(valid_for=0.1) as made, viewing(made.url, OPERATOR) as viewer:
+async def test_a_velocity_that_waited_too_long_is_not_driven(stepped: SteppedClock) -> None:
+    async with (
+        site(valid_for=LONG, clock=stepped.clock) as made,
+        viewing(made.url, OPERATOR) as viewer,
+    ):
         release = asyncio.Event()
 
         async def slow(value: Any) -> None:
@@ -297,7 +312,9 @@ async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
         await viewer.publish(3, AHEAD)
         await written(made)
         await viewer.publish(3, {"linear": {"x": 0.9}})
-        await asyncio.sleep(0.2)  # longer than the velocity is valid
+        await viewer.send("getParameters", parameterNames=["/param/limit"], id="after")
+        await viewer.op("parameterValues", id="after")
+        stepped.advance(2 * LONG)
         release.set()
         assert (await written(made, 2))[-1] == Twist()
         await viewer.publish(3, {"linear": {"x": 0.1}})

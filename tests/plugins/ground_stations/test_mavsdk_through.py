@@ -14,8 +14,8 @@ import httpx
 import pytest
 
 from browser.robots import until
-from browser.worlds import free_port
 from configuration import backend, key, listener, role, rule, table
+from ports import free_port
 from rcp_gateway.log import configure
 from rcp_gateway.testing import serve
 from rcp_kernel.config.file import parse

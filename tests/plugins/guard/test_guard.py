@@ -241,6 +241,7 @@ async def test_a_gateway_that_is_started_again_is_not_hindered_by_the_guard_of_t
         first = (await scene.guard())["pid"]
         await scene.drive()
         await scene.freeze("SIGKILL")
+        await scene.stopped()  # a busy machine may start the next gateway before the guard has run
         port = scene.device.facts[0]["port"]
         asked = {"plan": by_udp(port), "port": port, "more": SOON}
         async with child("gateway.py", json.dumps(asked)) as gateway:

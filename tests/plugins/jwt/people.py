@@ -11,7 +11,8 @@ from urllib.parse import parse_qs, urlsplit
 import httpx
 
 from issuer import Issuer
-from openid import CLIENT, free_port, login_table, patience
+from openid import CLIENT, login_table, patience
+from ports import free_port
 from transports.robot import Site, site
 
 __all__ = ["BACK", "BEGIN", "LOGIN", "TOP", "back", "people_logging_in", "sent"]

@@ -15,8 +15,9 @@ import pytest
 
 from issuer import Issuer, issuing
 from kernel.world import settled
-from openid import CLIENT, SECRET, free_port, login_table
+from openid import CLIENT, SECRET, login_table
 from plugins.jwt.people import BACK, BEGIN, LOGIN, TOP, back, people_logging_in, sent
+from ports import free_port
 from rcp_jwt import code_flow, issuers
 from transports.robot import BOUND, Site, site
 

@@ -15,9 +15,10 @@ import pytest
 
 from issuer import Issuer, issuing
 from kernel.world import settled
-from openid import CLIENT, free_port, login_table
+from openid import CLIENT, login_table
 from plugins.jwt.people import BACK, LOGIN, TOP, back, people_logging_in, sent
 from plugins.jwt.test_login_table import reloaded
+from ports import free_port
 from rcp_gateway.testing import SteppedClock
 from rcp_jwt import code_flow, verified
 from rcp_jwt.spent import SpentStates

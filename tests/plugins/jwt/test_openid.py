@@ -10,7 +10,8 @@ import httpx
 import pytest
 
 from issuer import Key
-from openid import Provider, free_port, login_table, providing
+from openid import Provider, login_table, providing
+from ports import free_port
 from rcp_jwt import issuers
 from transports.robot import BOUND, Site, site
 

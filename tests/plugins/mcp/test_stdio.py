@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import socket
 import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -18,6 +17,7 @@ from node import bin_of
 from plugins.mcp.rig import BOUND, OPERATOR, Caller, Site, site
 from plugins.mcp.test_clients import run
 from plugins.mcp.test_endpoint import INITIALIZE
+from ports import free_port
 
 RCPD = str(Path(sys.executable).parent / "rcpd")
 
@@ -128,9 +128,7 @@ async def test_an_older_client_goes_on_after_a_restart_of_the_gateway(
 
 @pytest.fixture
 def unused_tcp_port() -> int:
-    with socket.socket() as made:
-        made.bind(("127.0.0.1", 0))
-        return made.getsockname()[1]
+    return free_port()
 
 
 async def test_the_inspector_lists_the_tools_by_stdio(

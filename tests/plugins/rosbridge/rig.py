@@ -14,6 +14,7 @@ from websockets.asyncio.client import ClientConnection, connect
 
 from configuration import backend, key, listener, table
 from rcp_gateway.testing import Served, serve
+from rcp_kernel.clock import SYSTEM_CLOCK, Clock
 from rcp_kernel.config.file import parse
 from rcp_kernel.spi import BackendKind
 from rcp_rosbridge import ROSBRIDGE
@@ -42,7 +43,11 @@ class Site:
 
 @asynccontextmanager
 async def site(
-    *tables: str, kinds: tuple[BackendKind, ...] = (), limits: str = "", **options: Any
+    *tables: str,
+    kinds: tuple[BackendKind, ...] = (),
+    limits: str = "",
+    clock: Clock = SYSTEM_CLOCK,
+    **options: Any,
 ) -> AsyncGenerator[Site]:
     """Serve; `options` are those of the plugin."""
     given = {"port": 0, "status": "info", **options}
@@ -50,7 +55,7 @@ async def site(
     text += table("transports", http=False, ws=False, sse=False)
     config = parse(text + key("operator", OPERATOR), "test")
     config = msgspec.structs.replace(config, plugins={"rosbridge": given})
-    async with serve(config, *kinds, adapters=(ROSBRIDGE,)) as served:
+    async with serve(config, *kinds, adapters=(ROSBRIDGE,), clock=clock) as served:
         yield Site(served)
 
 

@@ -7,9 +7,10 @@ import * as ROSLIB from 'roslib';
 
 const [url, token] = process.argv.slice(2);
 const BOUND = 60_000;
+const RESTART = 180_000; // a gateway starts meanwhile, beside all else that the machine does
 
-function within(promise, what) {
-  const late = new Promise((_, no) => setTimeout(() => no(new Error(`late: ${what}`)), BOUND).unref());
+function within(promise, what, bound = BOUND) {
+  const late = new Promise((_, no) => setTimeout(() => no(new Error(`late: ${what}`)), bound).unref());
   return Promise.race([promise, late]);
 }
 
@@ -83,7 +84,7 @@ const gone = Promise.all([event(provider, 'close'), event(caller, 'close')]);
 const back = Promise.all([event(provider, 'connection'), event(caller, 'connection')]);
 console.log('ready');
 await within(gone, 'close');
-await within(back, 'connection again');
+await within(back, 'connection again', RESTART);
 offer();
 console.log(JSON.stringify({ before, after: await work() }));
 process.exit(0);

@@ -12,10 +12,13 @@ import pytest
 
 from configuration import backend
 from plugins.rosbridge.rig import OPEN, ROVER, page, site
+from rcp_gateway.testing import SteppedClock
 from rcp_kernel.model import Resource
 from rcp_kernel.spi import BackendKind, BaseBackend, Host
 from rcp_kernel.types import Twist
 from rcp_rosbridge.leases import Leases
+
+LONG = 10.0  # s that a velocity is valid: longer than any machine takes to pass it on
 
 
 class _NoOptions(msgspec.Struct):
@@ -42,7 +45,7 @@ class _SlowRobot(BaseBackend):
         return value
 
 
-async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
+async def test_a_velocity_that_waited_too_long_is_not_driven(stepped: SteppedClock) -> None:
     robots: list[_SlowRobot] = []
 
     @asynccontextmanager
@@ -52,17 +55,17 @@ async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
 
     kind = BackendKind("slow", _NoOptions, open_robot)
     one = backend("rover", use="slow")
-    async with site(OPEN, one, kinds=(kind,), valid_for=0.2) as gateway, page(gateway) as client:
+    async with (
+        site(OPEN, one, kinds=(kind,), valid_for=LONG, clock=stepped.clock) as gateway,
+        page(gateway) as client,
+    ):
         for speed in (0.1, 0.2):
             await client.send(op="publish", topic="/cmd_vel", msg={"linear": {"x": speed}})
         (robot,) = robots
         async with asyncio.timeout(60):
             await robot.begun.wait()
         await client.values("/rosapi/get_time")  # the second message has been received
-        loop = asyncio.get_running_loop()
-        old = asyncio.Event()
-        loop.call_later(0.3, old.set)
-        await old.wait()
+        stepped.advance(2 * LONG)
         robot.begun.clear()
         robot.confirm.set()
         await client.status("messages on /cmd_vel come faster")
@@ -73,18 +76,19 @@ async def test_a_velocity_that_waited_too_long_is_not_driven() -> None:
 
 
 async def test_a_velocity_that_waited_for_its_lease_too_long_is_not_driven(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, stepped: SteppedClock
 ) -> None:
     """As that of a robot with a gateway of its own, which is asked over a slow link."""
     usual = Leases.acquire
 
     def slow(self: Leases, path: str, then: Any) -> None:
-        asyncio.get_running_loop().call_later(0.3, usual, self, path, then)
+        stepped.advance(2 * LONG)
+        usual(self, path, then)
 
     monkeypatch.setattr(Leases, "acquire", slow)
     safety = '[safety]\nlease_required = ["/actuator/**"]\n'
     async with (
-        site(OPEN, ROVER, limits=safety, valid_for=0.2) as gateway,
+        site(OPEN, ROVER, limits=safety, valid_for=LONG, clock=stepped.clock) as gateway,
         page(gateway) as client,
     ):
         await client.send(op="subscribe", topic="/velocity")

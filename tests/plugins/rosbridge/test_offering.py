@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any
 
+import msgspec
 import pytest
 
 from configuration import backend, key, role, rule
 from plugins.rosbridge.rig import OPEN, OPERATOR, ROVER, Page, Site, page, site
 from rcp_clients import CLIENTS
+from rcp_kernel.spi import Backend, Host
 from rcp_rosbridge import offering
 from rcp_rosbridge.graph import Graph
 
@@ -240,6 +243,40 @@ async def test_without_such_a_backend_clients_are_told() -> None:
     async with site(OPEN, ROVER) as gateway, page(gateway) as client:
         await client.send(op="advertise_service", service=ADD, id="1")
         assert "backend `clients`" in (await client.status("cannot offer"))["msg"]
+
+
+async def test_what_a_page_offers_before_all_is_open_is_offered_when_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As by a page that is back sooner than all backends of a gateway that was started again."""
+    opens = asyncio.Event()
+
+    @asynccontextmanager
+    async def late(config: Any, host: Host) -> AsyncGenerator[Backend]:
+        await opens.wait()
+        async with CLIENTS.open(config, host) as backend:
+            yield backend
+
+    monkeypatch.setattr("rcp_gateway.server._FIRST_OPEN", 0.01)
+    monkeypatch.setattr(offering, "_OPENING", 0.01)
+    kind = msgspec.structs.replace(CLIENTS, open=late)
+    async with (
+        site(OPEN, ROVER, OFFERS, kinds=(kind,)) as gateway,
+        page(gateway) as provider,
+        page(gateway) as caller,
+    ):
+        for id_, name in (("1", ADD), ("2", "/not_this")):
+            await provider.send(op="advertise_service", service=name, id=id_)
+            told = await provider.status("nothing here takes offers yet")
+            assert (told["id"], told["level"]) == (id_, "warning")
+        await provider.send(op="unadvertise_service", service="/not_this")
+        opens.set()
+        await listed(caller, ADD)
+        await caller.send(op="call_service", id="c", service=ADD)
+        await answer(provider, values={"sum": 3}, result=True)
+        assert (await caller.op("service_response", id="c"))["values"] == {"sum": 3}
+        found = (await caller.values("/rosapi/services"))["services"]
+        assert "/not_this" not in found
 
 
 async def test_offers_and_calls_are_bounded(gateway: Site, provider: Page, caller: Page) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Generator
@@ -14,6 +13,7 @@ from pathlib import Path
 from configuration import backend, table
 from node import node, npm_packages
 from plugins.foxglove.driver import PATIENCE, driver, report
+from ports import free_port
 from serving import ROVER
 
 KEY = "operator-operator"
@@ -50,9 +50,7 @@ def started(config: Path) -> subprocess.Popen[str]:
 
 
 def test_clients_are_back_after_the_gateway_was_killed(tmp_path: Path) -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     config = tmp_path / "rcp.toml"
     config.write_text(TEXT.replace("port = 0", f"port = {port}"))
     url = f"ws://127.0.0.1:{port}"

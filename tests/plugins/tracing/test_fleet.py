@@ -6,7 +6,8 @@ import pytest
 
 pytest.importorskip("zenoh")
 
-from backends.fleet.rig import appears, free_port, hub_at, robot_at, serving
+from backends.fleet.rig import appears, hub_at, robot_at, serving
+from ports import free_port
 from rcp_gateway.testing import OPERATOR
 from rcp_protocol.trace import trace_of
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import aiomqtt
 
-from browser.worlds import free_port
+from ports import free_port
 
 __all__ = ["MOSQUITTO", "Cable", "Master", "broker", "cable"]
 

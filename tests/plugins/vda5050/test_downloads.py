@@ -188,6 +188,8 @@ async def test_without_a_server_in_the_configuration_nothing_is_downloaded(tmp_p
 async def test_downloads_that_hang_hold_up_no_pause_and_no_cancel(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for bound in ("_LONGEST", "_SILENCE"):
+        monkeypatch.setattr(downloads, bound, 3600.0)  # none ends meanwhile
     async with (
         map_server() as server,
         depot(tmp_path, version="3.0", downloads=[server.origin]) as it,
