@@ -305,8 +305,7 @@ class CyberGearDrive(ImpedanceDrive):
 
     async def set_zero(self) -> None:
         """Set the current position as zero."""
-        self._transmit(_ZERO, b"\1" + bytes(7))
-        await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
+        await self.until_zero(lambda: self._transmit(_ZERO, b"\1" + bytes(7)))
 
 
 PROFILE = Profile(

@@ -224,8 +224,7 @@ class MitDrive(ImpedanceDrive):
 
     async def set_zero(self) -> None:
         """Set the current position as zero."""
-        self._special(_ZERO)
-        await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
+        await self.until_zero(lambda: self._special(_ZERO))
 
 
 _AK_FAULTS = {
