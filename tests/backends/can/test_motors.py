@@ -289,12 +289,12 @@ async def test_a_zero_that_the_drive_does_not_take_is_not_confirmed(profile: str
 
 
 async def test_a_zero_is_confirmed_by_reports_from_after_the_request_alone() -> None:
-    async with motor("odrive", timeout=9.0, feedback_timeout=9.0) as rig:
+    async with motor("odrive") as rig:
         await rig.until(lambda: rig.axis.position is not None)  # at zero, before anything is sent
+        await rig.ordered(lambda: setattr(rig.twin, "blind", True))
+        await rig.until(lambda: not rig.axis.is_fresh("position"))  # nothing of it is under way
         with pytest.raises(DeviceTimeout, match="at zero"):
-            drive = rig.axis.drive
-            await rig.ordered(lambda: setattr(rig.twin, "blind", True))
-            await drive.set_zero()
+            await rig.axis.drive.set_zero()
 
 
 @pytest.mark.parametrize("profile", ["cia402", "odrive"])
