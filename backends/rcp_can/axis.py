@@ -84,6 +84,7 @@ class Axis(AxisState):
         self._releasing: asyncio.Task[None] | None = None
         self._lost_once = self._outdated = False
         self._ticked, self._velocities = time.monotonic(), 0
+        self._late, self._frozen = (max(each, 1.5 / config.rate) for each in (_LATE, _FROZEN))
         self._fell = False
         """Whether the drive was seen off while it was to be on, even if it is on again by now."""
         self._seen = (0, 0, 0, 0)
@@ -381,17 +382,19 @@ class Axis(AxisState):
         self._step_due = True
         now = time.monotonic()
         gap, self._ticked = now - self._ticked, now
-        late = gap > _LATE
-        if gap > _FROZEN and (self.mode is not None or self.owner is not None):
+        self.send_delay.advance(min(gap, self._late), self.bus.lag)
+        if gap > self._frozen and (self.mode is not None or self.owner is not None):
             self._thaw(gap)
-        if self.online and not late:
-            if (why := loss(self, now)) is not None:
+        if self.online:
+            # What was received since the last tick may still be queued after a late one.
+            heard = now - gap if gap > self._late else now
+            if (why := loss(self, heard)) is not None:
                 self._lose(why)
             else:
-                self._check_feedback(stale(self, now))
+                self._check_feedback(stale(self, heard))
         if not self.bus.up:
             return
-        if self.mode is not None and self.bus.lag > STALLED:
+        if self.mode is not None and self.send_delay.seconds > STALLED:
             self._stall()
         if self.stopping:
             if self.rests_since(self._braked_at):
@@ -477,9 +480,15 @@ class Axis(AxisState):
 
     def _stall(self) -> None:
         """Drop a set-point that cannot be sent: the ramp would run far ahead of the joint."""
-        text = f"its set-points could not be sent for {STALLED:g} s: the bus accepts no frames"
-        self.fault("not_sent", text, lasting=False)
-        self.forget(QueueFull(f"motor '{self.name}': {text}"))
+        text = f"its set-points could not be sent for {STALLED:g} s: "
+        if self.bus.refusing:
+            text += "the bus accepts no frames"
+            self.fault("not_sent", text, lasting=False)
+            self.forget(QueueFull(f"motor '{self.name}': {text}"))
+        else:
+            text += "the gateway was too slow"
+            self.fault("gateway_stalled", text, lasting=False)
+            self.forget(AdapterUnavailable(f"motor '{self.name}': {text}"))
         self.stop()
 
     def _bus_turned(self, _was: Condition, now: Condition) -> None:

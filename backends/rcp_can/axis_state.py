@@ -13,6 +13,7 @@ from rcp_can.drive import Drive
 from rcp_can.faultbook import FaultBook
 from rcp_can.gravity import Gravity
 from rcp_can.ramp import Ramp
+from rcp_can.send_delay import SendDelay
 from rcp_kernel.spi import Host
 
 __all__ = ["AxisState", "Loss"]
@@ -44,6 +45,7 @@ class AxisState:
         self.low, self.high = max(low, -span), min(high, span)
         self.gravity = Gravity(config.gravity) if config.gravity else None
         self.ramp = Ramp(self.velocity_limit, config.acceleration)
+        self.send_delay = SendDelay()
         self.mode: m.Mode | None = None
         self.goal = 0.0
         self.online = self.stopping = self.enabling = False

@@ -100,6 +100,11 @@ class Bus:
         wire = self.wire
         return 0.0 if wire is None else wire.lag
 
+    @property
+    def refusing(self) -> bool:
+        """Whether the interface is what frames wait for, and not the gateway's own thread."""
+        return self.wire is not None and self.wire.refusing
+
     def send(
         self,
         identifier: int,

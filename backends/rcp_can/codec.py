@@ -114,6 +114,20 @@ class Span(NamedTuple):
     low: float | None = None
     high: float | None = None
 
+    def nearest(self, value: float) -> float:
+        """Return what a receiver decodes if a value of the range is sent."""
+        mask = (1 << self.bits) - 1
+        if self.low is None or self.high is None:
+            return _code(value, None, mask, 0.0)
+        low, width = self.low, self.high - self.low
+        return low + _code(value, low, mask, width) * width / mask
+
+
+def _code(value: float, low: float | None, mask: int, width: float) -> int:
+    """Return the number that stands for a value in a field."""
+    steps = value if low is None else (value - low) * mask / width
+    return int(clamp(steps if math.isinf(steps) else round(steps), 0, mask))
+
 
 class Packed:
     """Bit fields, most significant first, as in the MIT protocol and many sensors."""
@@ -144,8 +158,7 @@ class Packed:
             value = values.get(name, 0)
             if math.isnan(value):
                 raise ValueError(f"{name} is not a number")
-            steps = value if low is None else (value - low) * mask / width
-            word |= int(clamp(steps if math.isinf(steps) else round(steps), 0, mask)) << shift
+            word |= _code(value, low, mask, width) << shift
         return word.to_bytes(self.size, "big")
 
     def decode(self, data: bytes | bytearray) -> dict[str, float]:

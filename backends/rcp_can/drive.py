@@ -38,6 +38,8 @@ __all__ = [
 _ANSWER = 1.0  # s within which a drive must reach a requested state
 _AGAIN = 0.1  # s between two requests
 _LATE = 0.1  # s by which the event loop may wake late without having been held up
+_AT_ZERO = 0.01  # rad at the shaft
+_UNDER_WAY = 1  # reports that may have left the drive before a request reached it
 KEPT = 1.0  # s a command may wait to be sent: by then, whoever asked for it has been told otherwise
 
 
@@ -229,7 +231,7 @@ class Drive(ABC):
         raise NotImplementedError
 
     async def set_zero(self) -> None:
-        """Set the current position as zero, if it `zeroes`."""
+        """Set the current position as zero, if it `zeroes`; return when its reports show it."""
         raise NotImplementedError
 
     @abstractmethod
@@ -250,6 +252,22 @@ class Drive(ABC):
     def stop_frames(self) -> Sequence[StopFrame]:
         """List frames that stop it in any state and never switch it on."""
         return ()
+
+    async def until_zero(self, request: Callable[[], object], what: str = "at zero") -> None:
+        """Send a request for a new zero until reports from after it show the shaft there.
+
+        :raises DeviceTimeout: they do not.
+        :raises DeviceRejected: the drive enters fault instead.
+        """
+        counts = self.status.counts
+        before = counts["position"] + _UNDER_WAY
+
+        def shown() -> bool:
+            position = self.status.position
+            fresh = counts["position"] > before
+            return fresh and position is not None and abs(position) <= _AT_ZERO
+
+        await self.until(shown, what, again=request)
 
     def wake_waiters(self) -> None:
         """Wake tasks that wait for the status; called after each batch of frames."""

@@ -103,12 +103,19 @@ def check_link(axis: AxisState) -> None:
 def check_bus(axis: AxisState) -> None:
     """Check that frames reach this drive now, and no other.
 
-    :raises QueueFull: earlier frames have not been sent yet.
+    :raises QueueFull: the bus has not accepted earlier frames yet.
+    :raises AdapterUnavailable: the gateway has not sent them yet.
     :raises ModeForbids: two drives have its id.
     """
-    if axis.bus.lag > STALLED:
+    if axis.send_delay.seconds > STALLED:
+        waiting = f"a frame has been waiting for {axis.bus.lag:.1f} s"
+        if not axis.bus.refusing:
+            raise AdapterUnavailable(
+                f"the gateway is too slow: {waiting}",
+                remedy="Send the command again; if this persists, reduce the load of its host.",
+            )
         raise QueueFull(
-            f"CAN bus '{axis.bus.name}' accepts no frames: one has been waiting for {axis.bus.lag:.1f} s",
+            f"CAN bus '{axis.bus.name}' accepts no frames: {waiting}",
             remedy=f"See sensor/can/{axis.bus.name}/state and …/statistics.",
         )
     if axis.faults.get("duplicate_node") is not None:

@@ -65,6 +65,8 @@ class Wire:
         self._barriers: dict[Hashable, int] = {}
         self._moving = float("-inf")
         self._sending = False
+        self._failures = 0
+        """Consecutive failed sends."""
         self._wake = threading.Event()
         self._waiting = False
         self._closing = False
@@ -84,6 +86,11 @@ class Wire:
     def lag(self) -> float:
         """Seconds since the interface accepted a frame, while frames are queued."""
         return time.monotonic() - self._moving if self._sending or self._outbox else 0.0
+
+    @property
+    def refusing(self) -> bool:
+        """Whether the interface has not accepted the frame that it was last given."""
+        return self._sending or self._failures > 0
 
     def send(
         self,
@@ -178,7 +185,6 @@ class Wire:
             self._received(batch)
 
     def _write(self) -> None:
-        failures = 0
         while True:
             self._wake.wait()
             self._wake.clear()
@@ -191,14 +197,14 @@ class Wire:
                     for place, message in enumerate(waiting.messages):
                         if not self._accepted(message, waiting if place == 0 else None):
                             break
-                        self.tx, failures = self.tx + 1, 0
+                        self.tx, self._failures = self.tx + 1, 0
                         self._moving = time.monotonic()
                 except Exception as error:
                     self.failed += 1
-                    failures += 1
+                    self._failures += 1
                     if self._closing:
                         return
-                    if failures >= _FAILURES:
+                    if self._failures >= _FAILURES:
                         self._report(f"sending failed: {error}")
                         return
                 finally:

@@ -18,6 +18,7 @@ from rcp_can.node_change import NodeChange, node_procedure
 from rcp_can.procedure import Procedure
 from rcp_can.profiles.cybergear_settings import CyberGearSettings
 from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
+from rcp_can.profiles.torque_rounding import TorqueRounding
 from rcp_can.settings_procedures import settings_procedures
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout
 
@@ -73,6 +74,7 @@ class CyberGearDrive(ImpedanceDrive):
 
     def __init__(self, node: int, options: CyberGearOptions, bus: Bus) -> None:
         super().__init__(node, options, bus)
+        self._rounding = TorqueRounding(COMMAND, TORQUE)
         self._parameters: dict[int, int] = {}
         self._refused: set[int] = set()
         """The parameters that it does not have, as it says."""
@@ -152,6 +154,7 @@ class CyberGearDrive(ImpedanceDrive):
         urgent: bool = False,
     ) -> None:
         """Send one set-point."""
+        torque = self._rounding.next(velocity, kd, torque)
         word = int.from_bytes(TORQUE.encode(torque=torque), "big")
         data = COMMAND.encode(position=position, velocity=velocity, kp=kp, kd=kd)
         self._transmit(_CONTROL, data, word=word, urgent=urgent)
@@ -285,8 +288,10 @@ class CyberGearDrive(ImpedanceDrive):
 
     def stop_frames(self) -> Sequence[StopFrame]:
         """Damp as in a quick stop: a drive that is off ignores it."""
-        word = int.from_bytes(TORQUE.encode(torque=0.0), "big")
-        data = COMMAND.encode(kd=self._gains.brake)
+        kd = self._gains.brake
+        torque = self._rounding.single(0.0, kd, 0.0)
+        word = int.from_bytes(TORQUE.encode(torque=torque), "big")
+        data = COMMAND.encode(kd=kd)
         return (StopFrame(_CONTROL << 24 | word << 8 | self.node, data, extended=True),)
 
     async def clear_faults(self) -> None:
@@ -300,8 +305,7 @@ class CyberGearDrive(ImpedanceDrive):
 
     async def set_zero(self) -> None:
         """Set the current position as zero."""
-        self._transmit(_ZERO, b"\1" + bytes(7))
-        await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
+        await self.until_zero(lambda: self._transmit(_ZERO, b"\1" + bytes(7)))
 
 
 PROFILE = Profile(

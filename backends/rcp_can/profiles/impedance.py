@@ -77,11 +77,7 @@ class ImpedanceDrive(Drive):
             self.status.twins += 1
 
     def poll(self, tick: int) -> None:
-        """Keep feedback coming: a damped set-point if the drive is on, a query if not.
-
-        Zero lies between two steps of the payload: without damping, half a step of torque turns the
-        motor.
-        """
+        """Keep feedback coming: a damped set-point if the drive is on, a query if not."""
         spoken, self._spoken = self._spoken, False
         if spoken:
             return

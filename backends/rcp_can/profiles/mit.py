@@ -11,6 +11,7 @@ from rcp_can.bus import Bus, Route
 from rcp_can.codec import Packed, Span
 from rcp_can.drive import Fault, Profile, Protection, Reach, StopFrame
 from rcp_can.profiles.impedance import FAST, Gains, ImpedanceDrive
+from rcp_can.profiles.torque_rounding import TorqueRounding
 
 if TYPE_CHECKING:
     import can
@@ -119,6 +120,7 @@ class MitDrive(ImpedanceDrive):
         super().__init__(node, options, bus)
         self.span = options.span
         self._command, self._reply = command_codec(self.span), reply_codec(self.span, *self.extra)
+        self._rounding = TorqueRounding(self._command)
         self._on = False
         self._answers = 0
         self.protection = Protection("no watchdog: it keeps its last set-point")
@@ -169,6 +171,7 @@ class MitDrive(ImpedanceDrive):
         urgent: bool = False,
     ) -> None:
         """Send one set-point."""
+        torque = self._rounding.next(velocity, kd, torque)
         data = self._command.encode(
             position=position, velocity=velocity, kp=kp, kd=kd, torque=torque
         )
@@ -181,7 +184,9 @@ class MitDrive(ImpedanceDrive):
 
     def stop_frames(self) -> Sequence[StopFrame]:
         """Damp as in a quick stop: a drive that is off ignores it."""
-        return (StopFrame(self.node, self._command.encode(kd=self._gains.brake)),)
+        kd = self._gains.brake
+        data = self._command.encode(kd=kd, torque=self._rounding.single(0.0, kd, 0.0))
+        return (StopFrame(self.node, data),)
 
     async def _switch(self, code: int, what: str, *, on: bool) -> None:
         answers = self._answers
@@ -219,8 +224,7 @@ class MitDrive(ImpedanceDrive):
 
     async def set_zero(self) -> None:
         """Set the current position as zero."""
-        self._special(_ZERO)
-        await self.until(lambda: abs(self.status.position or 0.0) < 0.05, "at zero")
+        await self.until_zero(lambda: self._special(_ZERO))
 
 
 _AK_FAULTS = {

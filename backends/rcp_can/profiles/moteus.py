@@ -320,12 +320,7 @@ class MoteusDrive(Drive):
 
     async def set_zero(self) -> None:
         """Set the current position as zero."""
-        self._write({"set_output": 0.0})
-        await self.until(
-            lambda: abs(self.status.position or 0.0) < 0.05,
-            "at zero",
-            again=lambda: self._write({"set_output": 0.0}),
-        )
+        await self.until_zero(lambda: self._write({"set_output": 0.0}))
 
     def command(self, mode: MotorMode, value: float, velocity: float) -> None:
         """Send a set-point."""

@@ -356,10 +356,8 @@ class OdriveDrive(Drive):
 
     async def set_zero(self) -> None:
         """Set the absolute position; requires firmware 0.6."""
-        await self.until(
-            lambda: abs(self.status.position or 0.0) < 0.02,
-            "at zero (older firmware cannot be set to zero)",
-            again=lambda: self._transmit("absolute"),
+        await self.until_zero(
+            lambda: self._transmit("absolute"), "at zero (older firmware cannot be set to zero)"
         )
 
     async def home(self, begun: Callable[[], object]) -> None:

@@ -83,7 +83,8 @@ class CyberGearTwin(Twin):
                 if data[0]:
                     self.faults = 0
             case 6:
-                self.plant.position = 0.0
+                if not self.keeps_zero:
+                    self.plant.position = 0.0
             case 7:
                 self.node = word >> 8  # stored at once
                 self._identify()

@@ -65,7 +65,7 @@ class MitTwin(Twin):
                 self.enabled = False
                 self.plant.off()
                 self._clear_by_disabling()
-            case 0xFE:
+            case 0xFE if not self.keeps_zero:
                 self.plant.position = 0.0
             case 0xFB:
                 self.fault = 0

@@ -104,7 +104,7 @@ class MoteusTwin(Twin):
     def _written(self, name: str, value: float) -> None:
         if name in self.command:
             self.command[name] = value
-        elif name == "set_output":
+        elif name == "set_output" and not self.keeps_zero:
             self.plant.goal += value * TURN - self.plant.position
             self.plant.position = value * TURN
         elif name == "mode":

@@ -223,7 +223,8 @@ class OdriveTwin(Twin):
         self.error = 0
 
     def _on_absolute(self, position: float) -> None:
-        self.plant.position = position
+        if not self.keeps_zero:
+            self.plant.position = position
 
     def tick(self, now: float) -> None:
         """Send heartbeat and feedback; check the watchdog."""

@@ -88,17 +88,33 @@ class Plant:
                 wanted = min(self.speed, math.sqrt(2 * brake * abs(left)), abs(left) * 50.0)
                 self.torque = self._track(math.copysign(wanted, left), dt)
             case "mit":
-                spring = self.kp * (self.goal - self.position)
-                damper = self.kd * (self.forward_velocity - self.velocity)
-                # Implicit in the damper, so that a stiff one is stable at any step.
-                damper /= 1 + (self.kd + self.kp * dt) * dt / self.inertia
-                self.torque = clamp(spring + damper + self.forward, -limit, limit)
+                self.torque = clamp(self._impeded(dt), -limit, limit)
         net = self.torque - self.friction * self.velocity + self.load
-        if abs(self.velocity) < _STICKS and abs(net) <= self.stiction:
+        if abs(self.velocity) < _STICKS and abs(self._breakaway(net)) <= self.stiction:
             self.velocity = net = 0.0
         self.velocity += net / self.inertia * dt
         self.velocity = clamp(self.velocity, -self.velocity_limit, self.velocity_limit)
         self.position += self.velocity * dt
+
+    def _impeded(self, dt: float) -> float:
+        """Return the mean torque of a spring and damper in a step.
+
+        It is implicit in the velocity at the end of the step, so that a stiff damper is stable.
+        """
+        ours = self._at_standstill() - self.kd * self.velocity
+        others = self.load - self.friction * self.velocity
+        return (ours + others) / (1 + (self.kd + self.kp * dt) * dt / self.inertia) - others
+
+    def _at_standstill(self) -> float:
+        spring = self.kp * (self.goal - self.position)
+        return spring + self.kd * self.forward_velocity + self.forward
+
+    def _breakaway(self, net: float) -> float:
+        """Return the torque that stiction has to hold, N·m."""
+        if self.loop != "mit":
+            return net
+        limit = self.torque_limit
+        return clamp(self._at_standstill(), -limit, limit) + self.load
 
     def _track(self, wanted: float, dt: float) -> float:
         step = (self.ramp or self.acceleration_limit) * dt

@@ -35,6 +35,8 @@ class Twin:
         """Sends no position and no velocity; everything else continues."""
         self.refuses = False
         """Cannot be switched on."""
+        self.keeps_zero = False
+        """Does not take a new zero, and does not say so."""
         self.send: Callable[..., None] = _nowhere
         self.commands: list[tuple[str, float]] = []
         """The last accepted set-points as (mode, value); at most a hundred."""

@@ -65,7 +65,8 @@ async def wheels() -> AsyncGenerator[Wheels]:
 async def running() -> AsyncGenerator[Wheels]:
     name = channel()
     line = can.Bus(name, "virtual", ignore_config=True)
-    motor = {"bus": "can0", "profile": "odrive", "velocity": 4.0, "rate": 50, "timeout": 1.0}
+    motor = {"bus": "can0", "profile": "odrive", "velocity": 4.0, "rate": 50}
+    motor |= {"timeout": 1.0, "feedback_timeout": 1.0}  # on a machine that does much else
     table = {
         "buses": {"can0": {"interface": "virtual", "channel": name}},
         "motors": {wheel: {**motor, "node": node} for wheel, node in NODES.items()},

@@ -14,11 +14,24 @@ import rcp_can
 from backends.can.rig import MOTORS, OTHERS, Node, channel
 from rcp_can.dronecan.library import make
 from rcp_can.dronecan.transfers import encode
-from rcp_can.sim import Bench, make_twin
+from rcp_can.sim import Bench, Twin, make_twin
 from rcp_gateway.testing import BackendSuite, Goal, StopRig, StopSuite, eventually
 from rcp_gateway.testing.backend import Robot
 
-_ALIKE = 8  # set-points in a row; those that were on their way are fewer
+_ALIKE = 8  # set-points in a row, at the end of a ramp
+_MARK = 0x7F0  # an identifier that no drive has
+
+
+class Mark(Twin):
+    """Tells when the bench has taken all frames from before a frame of its own."""
+
+    def __init__(self) -> None:
+        super().__init__(0)
+        self.seen = 0
+
+    def take(self, message: can.Message) -> None:
+        """Count its own frame."""
+        self.seen += message.arbitration_id == _MARK
 
 
 class CanRig(StopRig):
@@ -33,7 +46,7 @@ class CanRig(StopRig):
         protocol = can.CanProtocol.CAN_FD if self.profile == "moteus" else can.CanProtocol.CAN_20
         line = can.Bus(self.channel, "virtual", protocol=protocol, ignore_config=True)
         twin = make_twin(self.profile, table["node"], **table.get("options", {}))
-        with Bench(line, [twin]) as bench:
+        with Bench(line, [twin, Mark()]) as bench:
             yield bench
 
     def table(self) -> Mapping[str, Any]:
@@ -65,6 +78,7 @@ class CanRig(StopRig):
 
     async def truth(self, name: str) -> Any:
         """Return the set-point that the drive takes from now on, once it stays the same."""
+        await self._older_are_taken()
         twin, mode = self.device.twins[0], name.rpartition("/")[2]
         twin.commands.clear()
         taken: list[float] = []
@@ -75,6 +89,23 @@ class CanRig(StopRig):
 
         await eventually(stays, "a set-point stays the same")
         return taken[-1]
+
+    async def _older_are_taken(self) -> None:
+        """Wait until the drive has taken all set-points that have been sent, however late it is."""
+        mark, bus = self.device.twins[1], self.backend.buses["can0"]
+        assert isinstance(mark, Mark)
+        seen = mark.seen
+
+        async def sent() -> bool:
+            return bus.lag == 0.0
+
+        async def taken() -> bool:
+            return mark.seen > seen
+
+        await eventually(sent, "nothing waits to be sent")
+        with Node(self.channel, fd=self.profile == "moteus") as node:
+            node.send(_MARK)
+        await eventually(taken, "the bench has taken what is on the bus")
 
     def values(self, name: str) -> Sequence[Any]:
         return (0.4, 0.2) if name.startswith("actuator/") else super().values(name)

@@ -274,6 +274,29 @@ async def test_the_present_position_can_be_made_zero(profile: str) -> None:
         assert rig.twin.plant.position == pytest.approx(0, abs=0.05)
 
 
+@pytest.mark.parametrize("profile", ZEROES)
+async def test_a_zero_that_the_drive_does_not_take_is_not_confirmed(profile: str) -> None:
+    async with motor(profile) as rig:
+
+        def displace() -> None:
+            rig.twin.keeps_zero = True
+            rig.twin.plant.position = 0.015  # rad, which is near zero, but not there
+
+        await rig.ordered(displace)
+        await rig.until(lambda: abs((rig.axis.position or 0.0) - 0.015) < 0.001)
+        with pytest.raises(DeviceTimeout, match="at zero"):
+            await rig.ran("service/m/set_zero")
+
+
+async def test_a_zero_is_confirmed_by_reports_from_after_the_request_alone() -> None:
+    async with motor("odrive") as rig:
+        await rig.until(lambda: rig.axis.position is not None)  # at zero, before anything is sent
+        await rig.ordered(lambda: setattr(rig.twin, "blind", True))
+        await rig.until(lambda: not rig.axis.is_fresh("position"))  # nothing of it is under way
+        with pytest.raises(DeviceTimeout, match="at zero"):
+            await rig.axis.drive.set_zero()
+
+
 @pytest.mark.parametrize("profile", ["cia402", "odrive"])
 async def test_homing_finds_the_reference(profile: str) -> None:
     async with motor(profile, velocity=20) as rig:
