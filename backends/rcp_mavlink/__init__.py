@@ -45,7 +45,9 @@ def _exclusive(config: MavlinkConfig) -> Iterator[Exclusive]:
         if link.kind == "serial":
             yield Exclusive(text, link.host)
         elif link.kind in ("udpin", "tcpin") and link.port:
-            yield Exclusive(text, f"{link.kind} {link.port}", link.host)
+            # For TCP asyncio opens `::` for IPv6 alone (IPV6_V6ONLY), for UDP it takes IPv4 as well.
+            both = link.kind == "udpin" and link.host == "::"
+            yield Exclusive(text, f"{link.kind} {link.port}", "*" if both else link.host)
 
 
 @hookimpl
