@@ -171,7 +171,7 @@ class Motion:
     async def hold(self) -> None:
         """Hold the position, in the first suitable mode that the vehicle accepts."""
         vehicle = self._vehicle
-        if not vehicle.armed or vehicle.landed is True:
+        if self.measurement.disarmed or self.measurement.standing:
             return
         family, hovering = vehicle.family, vehicle.hovering
         modes = family.holding(hovering=hovering) + family.level(hovering=hovering)
