@@ -1,6 +1,7 @@
 """MAVLink vehicles: drones, planes, rovers and boats; `rcp_mavlink_sim` simulates them.
 
-Importing this package is cheap; pymavlink is imported when a backend is opened.
+`reception.py` leads from a message to samples, `actions.py` from an action to bytes; `robot.py` has the
+parts of one vehicle. Importing this package is cheap; pymavlink is imported when a backend is opened.
 """
 
 from __future__ import annotations
