@@ -114,6 +114,32 @@ async def test_a_hold_does_not_trust_what_was_said_of_the_ground_before() -> Non
         assert puppet.mode == BRAKE
 
 
+async def test_a_pause_is_not_confirmed_by_a_position_of_before() -> None:
+    puppet, paused = aloft(), 4
+    puppet.mode, puppet.velocity = 3, (0.0, 0.0, 0.0)
+    puppet.results[193] = lambda _: 0
+    async with station(puppet) as found:
+        await eventually(lambda: _is(found.robot.vehicle.mode == "AUTO"), "it flies its mission")
+        await eventually(lambda: _is(found.robot.measurement.speed == 0.0), "it stands still")
+        send = puppet.send
+
+        def without_position(name: str, *fields: Any) -> None:  # its messages are lost from now on
+            if name != "GLOBAL_POSITION_INT":
+                send(name, *fields)
+
+        puppet.send = without_position  # type: ignore[method-assign]
+        await eventually(lambda: _is(found.robot.measurement.stale()), "it is too old")
+        puppet.also.append(lambda: send("MISSION_CURRENT", 1, 2, paused, 1))
+        asked = asyncio.create_task(found.do("action/mission/pause"))
+        await eventually(lambda: _is(puppet.commands(193)), "it is told to pause")
+        told = asyncio.get_running_loop().time()
+        seen = found.robot.vehicle.received_at
+        await eventually(lambda: _is(seen["MISSION_CURRENT"] > told + 0.5), "it has said so")
+        assert not asked.done()
+        puppet.send = send  # type: ignore[method-assign]
+        assert (await asked)["status"] == "completed"
+
+
 async def test_the_answer_to_a_repetition_is_not_that_of_the_next_command() -> None:
     async with station(Puppet()) as found:
         puppet, later = found.puppet, asyncio.get_running_loop().call_later
