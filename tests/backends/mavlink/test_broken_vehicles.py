@@ -94,6 +94,27 @@ def test_two_vehicles_are_told_from_a_restart(boots: list[float], *, seen: bool)
     assert not duplicates.seen(120.0)
 
 
+@pytest.mark.parametrize("silent", [False, True])
+async def test_a_stop_holds_after_a_restart_in_the_air(*, silent: bool) -> None:
+    puppet = aloft()
+
+    def set_mode(message: Any) -> int:
+        puppet.mode, puppet.velocity = int(message.param2), (0.0, 0.0, 0.0)
+        return 0
+
+    puppet.results[176] = set_mode
+    async with station(puppet) as found:
+        stop = await found.client.request("execute", "/system/estop", body={}, within=60.0)
+        assert stop["status"] == "completed", stop
+        if silent:
+            puppet.quiet = True
+            await eventually(lambda: _is(found.robot.vehicle.lost), "it is lost")
+            puppet.quiet = False
+        puppet.booted = asyncio.get_running_loop().time()  # as after its watchdog
+        puppet.mode, puppet.velocity = 0, (3.0, 0.0, 0.0)
+        await eventually(lambda: _is(puppet.mode == BRAKE), "it is stopped again")
+
+
 async def test_a_hold_does_not_trust_what_was_said_of_the_ground_before() -> None:
     puppet = aloft()
     puppet.landed = 1
@@ -134,7 +155,9 @@ async def test_a_pause_is_not_confirmed_by_a_position_of_before() -> None:
         await eventually(lambda: _is(puppet.commands(193)), "it is told to pause")
         told = asyncio.get_running_loop().time()
         seen = found.robot.vehicle.received_at
-        await eventually(lambda: _is(seen["MISSION_CURRENT"] > told + 0.5), "it has said so")
+        await eventually(
+            lambda: _is(seen.get("MISSION_CURRENT", told) > told + 0.5), "it has said so"
+        )
         assert not asked.done()
         puppet.send = send  # type: ignore[method-assign]
         assert (await asked)["status"] == "completed"
