@@ -387,7 +387,7 @@ class Exclusive(msgspec.Struct, frozen=True):
     name: str
     """Of the port or device, the same for all who mean it."""
     host: str | None = None
-    """The address of a port; `0.0.0.0` and `::` are all of their family. None: it has none."""
+    """The address of a port; `0.0.0.0` and `::` are all of their family, `*` is all. None: it has none."""
 
     def overlaps(self, other: Exclusive) -> bool:
         """Return whether both cannot be open at once."""
@@ -397,7 +397,7 @@ class Exclusive(msgspec.Struct, frozen=True):
 
     def _covers(self, other: Exclusive) -> bool:
         every = "::" if ":" in (other.host or "") else "0.0.0.0"  # noqa: S104 - compared only
-        return self.host == every
+        return self.host in ("*", every)
 
 
 class BackendKind(msgspec.Struct, frozen=True):

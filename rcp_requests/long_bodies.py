@@ -41,16 +41,14 @@ class LongBodies:
         )
 
     def prepare(self, session: Session, request: Request) -> Generator[None, None, Request]:
-        """Return the request with its body decoded; as it is if it will be refused without that."""
+        """Return the request with its body decoded, or only hashed if it is refused without that."""
         if not self.takes(request):
             return request
+        type_: ValueType | None = None
+        outcome: Any = None
         try:
             entry = self._resolver.resolve(session, request.path, _TYPES[request.type])
-        except RcpError:
-            return request  # its handler says why
-        type_, label = _body_of(request, entry)
-        outcome: Any
-        try:
+            type_, label = _body_of(request, entry)
             outcome = yield from type_.decode_in_steps(request.body, request.encoding, label)
         except RcpError as error:
             outcome = error

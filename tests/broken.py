@@ -171,6 +171,8 @@ BROKEN = (
     Broken(f'{MAVLINK}name = "a"\n{MAVLINK}name = "b"\nlinks = ["udpin:127.0.0.1:14550"] #!\n', "only one can open it", 'links = ["udpin:127.0.0.1:14551"]'),
     Broken(f'{MAVLINK}name = "a"\n{MAVLINK}name = "b"\nlinks = ["udpin:0.0.0.0:14550"] #!\n', "'udpin:0.0.0.0:14550' is used", 'links = ["udpin:127.0.0.2:14550"]'),
     Broken(f'{MAVLINK}name = "a"\nlinks = ["tcpin:[::]:5760"]\n{MAVLINK}name = "b"\nlinks = ["tcpin:[::1]:5760"] #!\n', "only one can open it", 'links = ["tcpin:127.0.0.1:5760"]'),
+    Broken(f'{MAVLINK}name = "a"\nlinks = ["udpin:[::]:5760"]\n{MAVLINK}name = "b"\nlinks = ["udpin:0.0.0.0:5760"] #!\n', "only one can open it", 'links = ["tcpin:0.0.0.0:5760"]'),
+    Broken(f'{MAVLINK}name = "a"\nlinks = ["udpin:127.0.0.1:5760"]\n{MAVLINK}name = "b"\nlinks = ["udpin:[::]:5760"] #!\n', "only one can open it", 'links = ["udpin:[::1]:5760"]'),
     Broken(f'{MAVLINK}name = "a"\nlinks = ["serial:/dev/ttyACM0"]\n{MAVLINK}name = "b"\nlinks = ["serial:/dev/ttyACM0:115200"] #!\n', "only one can open it", 'links = ["serial:/dev/ttyACM1:115200"]'),
     Broken(VDA + 'broker = "http://127.0.0.1:1883" #!\n', "mqtt://HOST:PORT", 'broker = "mqtt://127.0.0.1:1883"'),
     Broken(GRPC + "port = 8080 #!\n", "is the port of [transports.asgi]", "port = 50051"),

@@ -1,6 +1,7 @@
 """MAVLink vehicles: drones, planes, rovers and boats; `rcp_mavlink_sim` simulates them.
 
-Importing this package is cheap; pymavlink is imported when a backend is opened.
+`reception.py` leads from a message to samples, `actions.py` from an action to bytes; `robot.py` has the
+parts of one vehicle. Importing this package is cheap; pymavlink is imported when a backend is opened.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ def _exclusive(config: MavlinkConfig) -> Iterator[Exclusive]:
         if link.kind == "serial":
             yield Exclusive(text, link.host)
         elif link.kind in ("udpin", "tcpin") and link.port:
-            yield Exclusive(text, f"{link.kind} {link.port}", link.host)
+            # For TCP asyncio opens `::` for IPv6 alone (IPV6_V6ONLY), for UDP it takes IPv4 as well.
+            both = link.kind == "udpin" and link.host == "::"
+            yield Exclusive(text, f"{link.kind} {link.port}", "*" if both else link.host)
 
 
 @hookimpl

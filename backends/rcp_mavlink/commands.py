@@ -84,8 +84,8 @@ class Commands:
     def __init__(self, hub: Hub, vehicle: Vehicle) -> None:
         self._hub, self._vehicle = hub, vehicle
         self._turns: dict[int, asyncio.Lock] = defaultdict(asyncio.Lock)
-        self._orphans: dict[int, float] = {}
-        """Abandoned commands whose reply may still arrive, and until when."""
+        self._orphans: dict[int, tuple[int, float]] = {}
+        """Commands with replies that may still arrive: how many, and until when."""
 
     async def send(
         self,
@@ -152,12 +152,7 @@ class Commands:
 
         config = self._hub.config
         with self._vehicle.listening("COMMAND_ACK", take, anybody=True):
-            late = self._orphans.pop(command.number, 0.0) - time.monotonic()
-            if late > 0:  # it would be mistaken for the reply to this command
-                with suppress(TimeoutError):
-                    async with timeout(late):
-                        await answers.get()
-            self._orphans[command.number] = time.monotonic() + config.timeout
+            await self._let_pass(command.number, answers)
             running, attempt = False, 0
             try:
                 while attempt <= config.retries and not running:  # one in progress would begin anew
@@ -166,10 +161,12 @@ class Commands:
                     message = self._message(command, attempt, whole=whole)
                     self._hub.send(self._vehicle, message, urgent=urgent)
                     attempt, wait = attempt + 1, config.timeout
+                    self._expect(command.number, attempt)
                     while (answer := await self._answer(answers, wait)) is not None:
                         result, part = answer
                         if result != _RUNNING:
-                            del self._orphans[command.number]
+                            asks = command.number in _QUESTIONS  # whichever it answers, it comes
+                            self._expect(command.number, 0 if asks else attempt - 1)
                             return result
                         wait, running = _PATIENCE, True
                         if progress is not None:
@@ -180,12 +177,24 @@ class Commands:
                 raise
         self._vehicle.check()
         if running:
-            self._orphans[command.number] = time.monotonic() + config.timeout
+            self._expect(command.number, 1)
             raise DeviceTimeout(
                 f"{what}: the vehicle began it, and has told nothing for {_PATIENCE:g} s",
                 remedy="It may still go on: see its telemetry before you send it again.",
             )
         raise DeviceTimeout(f"{what}: the vehicle did not respond")
+
+    def _expect(self, number: int, count: int) -> None:
+        """Note that replies to what was sent may still arrive."""
+        self._orphans[number] = (count, time.monotonic() + self._hub.config.timeout)
+
+    async def _let_pass(self, number: int, answers: asyncio.Queue[tuple[int, int]]) -> None:
+        """Wait for late replies: they would be mistaken for those to the next command."""
+        count, until = self._orphans.pop(number, (0, 0.0))
+        with suppress(TimeoutError):
+            async with timeout(until - time.monotonic()):
+                for _ in range(count):
+                    await answers.get()
 
     async def _answer(
         self, answers: asyncio.Queue[tuple[int, int]], seconds: float
@@ -204,7 +213,7 @@ class Commands:
 
     def _cancel(self, number: int, component: int) -> None:
         """Tell the vehicle, once, to end a command in progress; many do not know the message."""
-        self._orphans[number] = time.monotonic() + self._hub.config.timeout
+        self._expect(number, 1)
         module, system = self._hub.dialect.module, self._vehicle.system
         with suppress(RcpError, OSError):
             message = cancel_message(module, (system, component), number)

@@ -47,7 +47,10 @@ class Measurement:
     @property
     def has_heartbeat(self) -> bool:
         """Whether its mode and its armed bit are known."""
-        return not self._vehicle.lost and self.age("HEARTBEAT") <= self._silence
+        vehicle = self._vehicle
+        return (
+            not vehicle.lost and not vehicle.duplicated and self.age("HEARTBEAT") <= self._silence
+        )
 
     @property
     def disarmed(self) -> bool:
@@ -57,7 +60,11 @@ class Measurement:
     @property
     def standing(self) -> bool:
         """Whether it is known to be on the ground."""
-        return self._vehicle.landed is True and self.age("EXTENDED_SYS_STATE") <= _LANDED_LATE
+        return (
+            not self._vehicle.duplicated
+            and self._vehicle.landed is True
+            and self.age("EXTENDED_SYS_STATE") <= _LANDED_LATE
+        )
 
     # Motion
 
@@ -144,14 +151,21 @@ class Measurement:
     def check(self, *, strict: bool = True) -> None:
         """Refuse motion without position feedback.
 
-        :raises PreconditionFailed: the position is older than the limit.
+        :raises PreconditionFailed: the position is older than the limit, or may be another vehicle's.
         """
+        if self._vehicle.duplicated:
+            raise PreconditionFailed(
+                self._duplicated(), remedy="Give each vehicle a system id of its own."
+            )
         if self.stale(strict=strict):
             raise PreconditionFailed(
                 f"{self.unknown()}; at most {self.limit:g} s are allowed",
                 remedy="The vehicle is connected but sends no position: check sensor/links and "
                 "sensor/ekf. action/land, action/rtl and service/hold are still accepted.",
             )
+
+    def _duplicated(self) -> str:
+        return f"two vehicles use the system id {self._vehicle.system}"
 
     # Rest
 
@@ -160,6 +174,8 @@ class Measurement:
         vehicle = self._vehicle
         if vehicle.lost:
             return MotionState(None, f"vehicle {vehicle.system} is not connected")
+        if vehicle.duplicated:
+            return MotionState(None, self._duplicated())
         if not self.has_heartbeat:
             age = self.age("HEARTBEAT")
             since = "since it returned" if math.isinf(age) else f"for {age:.1f} s"

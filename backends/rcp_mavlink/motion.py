@@ -161,18 +161,19 @@ class Motion:
 
     @property
     def rests(self) -> bool:
-        """Whether it is still, or circles in a mode meant for it."""
-        vehicle, fix = self._vehicle, self._vehicle.fix
-        if not vehicle.armed or vehicle.landed is True:
+        """Whether it is seen to be still, or to circle in a mode meant for it."""
+        vehicle, measurement = self._vehicle, self.measurement
+        if measurement.disarmed or measurement.standing:
             return True
         if vehicle.family.circles and vehicle.mode == vehicle.family.hold:
-            return True
-        return fix is not None and fix.speed < AT_REST
+            return measurement.has_heartbeat
+        speed = measurement.speed
+        return speed is not None and speed < AT_REST
 
     async def hold(self) -> None:
         """Hold the position, in the first suitable mode that the vehicle accepts."""
         vehicle = self._vehicle
-        if not vehicle.armed or vehicle.landed is True:
+        if self.measurement.disarmed or self.measurement.standing:
             return
         family, hovering = vehicle.family, vehicle.hovering
         modes = family.holding(hovering=hovering) + family.level(hovering=hovering)

@@ -74,8 +74,11 @@ class Parameters:
             self._listed.add(place)
         self.known[name] = Parameter(value, type_, place)
         self._doubtful.discard(name)
-        self.count = fields["param_count"] or self.count
-        if self.count is not None and len(self._listed) >= self.count:
+        count = fields["param_count"] or self.count
+        if count != self.count and not self.complete.is_set():
+            self._listed &= {place}  # the others may have moved
+        self.count = count
+        if count is not None and self._listed.issuperset(range(count)):
             for gone in self._doubtful:
                 del self.known[gone]
             self._doubtful.clear()

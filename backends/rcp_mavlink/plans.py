@@ -153,7 +153,7 @@ class Plans:
         """
         vehicle = self._vehicle
         with self._following("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ACK") as received:
-            last, self._begun = count, False
+            last, self._begun, sent = count, False, set[int]()
             again, since = False, time.monotonic()
             while True:
                 is_last = bool(messages) and last is messages[-1]
@@ -173,9 +173,11 @@ class Plans:
                     if is_last and again and fields["type"] == _ERROR:
                         return DeviceTimeout(_UNSURE, remedy=_SEE)
                     refusal = self._refusal(fields["type"], "the plan is refused")
-                    if refusal is None:
-                        return None
-                    raise refusal
+                    if refusal is not None:
+                        raise refusal
+                    if len(sent) < len(messages):
+                        continue  # of an upload before: it does not have this plan yet
+                    return None
                 seq = fields["seq"]
                 if seq >= len(messages):
                     raise DeviceRejected(f"the vehicle requested item {seq}, which does not exist")
@@ -183,6 +185,7 @@ class Plans:
                 if not again:
                     since = time.monotonic()
                 last, self._begun = messages[seq], True
+                sent.add(seq)
                 self._hub.send(vehicle, last)
                 if progress is not None:
                     progress(seq / len(messages))

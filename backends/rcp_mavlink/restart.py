@@ -1,19 +1,27 @@
-"""Whether a vehicle has restarted: by its clock, which counts from boot, and by its heartbeats, which pause."""
+"""Restarts: commanded, and seen by the clock, which counts from boot, or by heartbeats that pause."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
 
+from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
+from rcp_kernel.spi import Progress
+from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.frames import Frame
+from rcp_mavlink.motion import Motion
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["Restart", "watched"]
+__all__ = ["Restart", "Restarts", "watched"]
 
 _CLOCKS = ("SYSTEM_TIME", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE")
 """Messages with the time since boot."""
 _OUT_OF_ORDER = 500  # ms by which a message may be older than the one before
+_REBOOT, _REQUEST = 246, 512  # MAV_CMD
+_RESTING = 5.0  # s to come to rest before the motors are stopped
+_COMING_BACK = 30.0  # s for a reboot
+_SYSTEM_TIME, _ASKING = 2.0, 0.5  # a message with its clock, and s between requests for it
 _PAUSE = 3.0  # s without a heartbeat; one a second is sent
 
 
@@ -59,3 +67,52 @@ def watched(vehicle: Vehicle) -> Generator[Restart]:
             stack.enter_context(vehicle.listening(name, restart.take_clock))
         stack.enter_context(vehicle.listening("HEARTBEAT", restart.take_heartbeat))
         yield restart
+
+
+class Restarts:
+    """Reboots one vehicle; `back` is called when it has restarted."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        commands: Commands,
+        motion: Motion,
+        *,
+        end_setpoints: Callable[[], None],
+        back: Callable[[], None],
+    ) -> None:
+        self._vehicle, self._commands, self._motion = vehicle, commands, motion
+        self._end_setpoints, self._back = end_setpoints, back
+
+    async def reboot(self) -> None:
+        """Reboot the vehicle; completes when it has restarted and its heartbeats return.
+
+        :raises DeviceTimeout: it was not seen to restart, or has not come back.
+        """
+        vehicle = self._vehicle
+        with watched(vehicle) as restart:
+            await self._commands.send(Command(_REBOOT, (1.0, 0.0, 0.0, 0.0)), "reboot")
+            end = vehicle.away_until = time.monotonic() + _COMING_BACK
+            try:  # it goes on for a while after it has accepted
+                while not await vehicle.until(lambda: restart.done, _ASKING):
+                    if time.monotonic() > end:
+                        raise DeviceTimeout("reboot: accepted, but the vehicle has not restarted")
+                    self._commands.send_once(Command(_REQUEST, (_SYSTEM_TIME, 0.0, 0.0, 0.0)))
+            finally:
+                vehicle.away_until = 0.0
+        self._back()
+
+    async def reset(self, _: None, progress: Progress) -> None:
+        """Stop, disarm and reboot the vehicle.
+
+        :raises PreconditionFailed: it may be in the air, where a reboot would make it fall.
+        """
+        vehicle = self._vehicle
+        if vehicle.family.flies and vehicle.armed and vehicle.landed is not True:
+            raise PreconditionFailed("reset: the vehicle is in the air", remedy="Land it first.")
+        self._end_setpoints()
+        if vehicle.armed:
+            await self._motion.hold()
+            await vehicle.until(lambda: self._motion.rests, _RESTING)
+            await self._motion.disarm(None, progress)
+        await self.reboot()

@@ -450,11 +450,12 @@ class Stop:
         A disarmed vehicle is only queried: a flight mode would outlast the stop.
         """
         vehicle, now = self._vehicle, time.monotonic()
-        if vehicle.armed and self._needs_mode_first(now):
+        armed = vehicle.armed or vehicle.duplicated  # the other one may be the disarmed
+        if armed and self._needs_mode_first(now):
             self._request(_HEARTBEAT)
             return
         self._sent = now
-        if vehicle.armed and not self._lands_itself(rung):
+        if armed and not self._lands_itself(rung):
             standing = self._measurement.standing
             command = _STAND if standing else _command(rung, vehicle)
             self._commands.send_once(command, urgent=True)

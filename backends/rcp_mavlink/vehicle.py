@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from rcp_kernel.errors import AdapterUnavailable
 from rcp_links import Lateness
 from rcp_mavlink.dialect import Dialect
+from rcp_mavlink.duplicates import Duplicates
 from rcp_mavlink.flightmodes import Family, family
 from rcp_mavlink.frames import Frame
 from rcp_protocol.timeouts import timeout
@@ -62,6 +63,7 @@ class Vehicle:
         arrived if that took longer than usual."""
         self._stamps: dict[str, bytes] = {}
         self._lateness = Lateness()
+        self._duplicates: Duplicates | None = None
         self.last_message_at = time.monotonic()
         self.routes: dict[tuple[int, Any], tuple[Any, Any, float]] = {}
         """Links and addresses that it uses, with the time of the last frame."""
@@ -87,12 +89,14 @@ class Vehicle:
         """Handle a frame of its autopilot; `now` is monotonic."""
         definition = frame.definition
         name, number = definition.name, definition.id
+        if number == 0 and not self._is_own(frame, now):
+            return
         self.latest[name] = frame
         self.last_message_at = now
         if not self._is_repeated(name, frame):
             self.received_at[name] = now
             if name in _STAMPED:
-                self.measured_at[name] = self._measured(frame, now)
+                self.measured_at[name] = self._measured(name, frame, now)
         if number == 0:
             self._heartbeat(frame)
         listeners = self._listeners.get(number)
@@ -116,10 +120,25 @@ class Vehicle:
         self._stamps[name] = stamp
         return stamp == before and any(stamp)
 
-    def _measured(self, frame: Frame, now: float) -> float:
+    def _measured(self, name: str, frame: Frame, now: float) -> float:
         """Return when a stamped message that arrives now was measured."""
         ticks = int.from_bytes(frame.payload[:4], "little")  # ms since boot
+        if ticks and self._duplicates is not None:
+            self._duplicates.take_clock(name, now - ticks / 1e3, now)
         return now - self._lateness.of(now - ticks / 1e3, now) if ticks else now
+
+    def _is_own(self, frame: Frame, now: float) -> bool:
+        """Return whether a heartbeat is not of another vehicle with the same system id."""
+        beat = frame.fields()
+        kind = (beat["autopilot"], beat["type"])
+        if self._duplicates is None:
+            self._duplicates = Duplicates(kind, now)
+        return self._duplicates.is_own(kind, now)
+
+    @property
+    def duplicated(self) -> bool:
+        """Whether another vehicle with its system id was heard lately."""
+        return self._duplicates is not None and self._duplicates.seen(time.monotonic())
 
     def overhear(self, frame: Frame) -> None:
         """Handle a frame of another component on board, such as a camera or gimbal."""

@@ -35,6 +35,8 @@ _SETPOINTS = frozenset({
 })  # fmt: skip
 _REASON = "flies with a ground station"
 _OVERTAKEN = Refusal("cancelled", True, {})
+_UNCONTROLLED = ("lease_lost", "lease_required")
+"""Refusals of a write that a lease of its own would allow."""
 
 
 class Pilot:
@@ -59,7 +61,6 @@ class Pilot:
         self._stopped = 0
         """Stops that have come: what came before one must not reach the vehicle after it."""
         self._room, self._stopping = asyncio.Event(), asyncio.Event()
-        self._controlling = asyncio.Lock()
         self._lease: str | None = None
         self._renewed = self._commanded = float("-inf")
 
@@ -103,7 +104,7 @@ class Pilot:
             self._stopping.clear()
             while self._stops:
                 frame = self._stops.pop(next(iter(self._stops)))
-                await self._safely(self._pass(frame, None))
+                await self._safely(self._pass_stop(frame))
 
     async def _pass_all(self) -> None:
         while True:
@@ -123,28 +124,39 @@ class Pilot:
         except Exception:  # of one frame: the next one may be to stop
             log.exception("frame_failed")
 
-    async def _pass(self, frame: Frame, came: float | None) -> None:
-        """Pass a frame on; a stop is of any time."""
-        stopped = self._stopped
-        data = rebuilt(
-            frame, None, 0
-        )  # who signed it for the gateway is no affair of the vehicle's
-        refusal: Refusal | None
+    async def _pass(self, frame: Frame, came: float) -> None:
+        """Pass a frame on, with control if it does something."""
+        data, stopped = _unsigned(frame), self._stopped
         if asks_only(frame):
-            refusal = await self._request("execute", self._ask, {"data": data})
-        else:
-            async with self._controlling:
-                refusal = await self._control()
-            if refusal is None and came is not None and self._stopped != stopped:
-                refusal = _OVERTAKEN
-            if refusal is None:
-                self._commanded = self._now()
-                # Sticks of a while ago move nothing: the gateway refuses what has waited too long.
-                refusal = await self._request("write", self._send, {"data": data}, came)
-        if refusal is not None:
-            if refusal.code.startswith("lease_") or refusal.code == "estop_active":
-                self._lease = None
-            self._refused(frame, refusal)
+            self._answer(frame, await self._request("execute", self._ask, {"data": data}))
+            return
+        refusal = await self._control()
+        if refusal is None and self._stopped != stopped:
+            refusal = _OVERTAKEN
+        if refusal is None:
+            # Sticks of a while ago move nothing: the gateway refuses what has waited too long.
+            refusal = await self._write(data, came)
+        self._answer(frame, refusal)
+
+    async def _pass_stop(self, frame: Frame) -> None:
+        """Pass a stop on, of whatever age; it asks for control only if it is refused without."""
+        data = _unsigned(frame)
+        refusal = await self._write(data, None)
+        if refusal is not None and refusal.code in _UNCONTROLLED:
+            self._lease = None
+            refusal = await self._control() or await self._write(data, None)
+        self._answer(frame, refusal)
+
+    async def _write(self, data: bytes, came: float | None) -> Refusal | None:
+        self._commanded = self._now()
+        return await self._request("write", self._send, {"data": data}, came)
+
+    def _answer(self, frame: Frame, refusal: Refusal | None) -> None:
+        if refusal is None:
+            return
+        if refusal.code.startswith("lease_") or refusal.code == "estop_active":
+            self._lease = None
+        self._refused(frame, refusal)
 
     async def _control(self) -> Refusal | None:
         """Take control, or keep it; return why somebody else has it."""
@@ -194,6 +206,11 @@ class Pilot:
 
     def _now(self) -> float:
         return self._client_api.loop.time()
+
+
+def _unsigned(frame: Frame) -> bytes:
+    """Return its bytes: who signed it for the gateway is no affair of the vehicle's."""
+    return rebuilt(frame, None, 0)
 
 
 def _request(type_: Any, path: str, body: dict[str, Any], came: float | None = None) -> Request:

@@ -116,7 +116,7 @@ class StepRequests:
             if reply.final:
                 final.set_result(reply)
             elif unwanted and (late := self._host.started_by(request)) is not None:
-                self._loop.call_soon(self._host.cancel, late, _ENDED)  # before the robot is called
+                self._loop.call_soon(self._host.cancel, late, _ENDED)  # before its work begins
             elif reply.status == "in_progress":
                 on_progress(_plain(reply.body), reply.progress)
 
@@ -125,19 +125,18 @@ class StepRequests:
         try:
             return await asyncio.shield(final)
         except asyncio.CancelledError:
-            unwanted = True  # a long value waits for its turn: its command may begin later
+            unwanted = True  # an action of a feature waits for its turn: it may begin later
             await self._stop(node, request, final)
             raise
 
     async def _stop(self, node: Node, request: Request, final: asyncio.Future[Reply]) -> None:
-        """Stop the command of a step, also one that has not begun yet, and wait until it has ended."""
+        """Stop the command of a step and wait until it has ended."""
         state, command = node.state, self._host.started_by(request)
-        if command is not None:
-            self._host.cancel(command, _ENDED)
-        elif not isinstance(node.step, Execute) or len(bytes(request.body)) <= LONG:
+        if command is None:
             if isinstance(node.step, (Write, Execute)):
                 state.message = "it was running when the plan ended; check the robot"
             return
+        self._host.cancel(command, _ENDED)
         done, _ = await asyncio.wait([final], timeout=_END)
         if not done:
             state.message = "the robot did not confirm that it stopped"

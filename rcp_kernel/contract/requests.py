@@ -13,8 +13,8 @@ __all__ = ["PreparedRequest", "QueuedRequest"]
 class PreparedRequest(Request):
     """A long request whose body was decoded in steps before it is handled."""
 
-    type_of_body: ValueType
-    """The type used to decode the body."""
+    type_of_body: ValueType | None
+    """The type used to decode the body; None if there was no resource that has one."""
     outcome: Any
     """Its value, or the error that decoding ended with."""
     recorded: dict[str, Any]

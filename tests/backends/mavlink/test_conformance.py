@@ -34,6 +34,7 @@ from rcp_mavlink_sim.plans import Item
 
 PARAMS = ("WPNAV_SPEED", "RTL_ALT", "GUID_TIMEOUT")
 LAT, LON = -35.3632621, 149.1652374
+ALIGNED = math.radians(6)  # within which it counts as turned
 HEADING, KEPT = 90.0, 0.05  # deg that it looks to at first, rad by which it may stray from it
 GUIDED = 4
 HERE = Item(16, 3, (0.0, 0.0, 0.0, 0.0), LAT, LON, 20.0, (round(LAT * 1e7), round(LON * 1e7)))
@@ -291,7 +292,7 @@ class MavlinkRig(Hurried, StopRig):
                 self.calibrating.cancel()
                 return vehicle.calibrations.position == 2
             case "action/turn":
-                return abs(math.remainder(vehicle.body.yaw - result["heading"], math.tau)) < KEPT
+                return await self._has_turned(result["heading"])
             case "action/orbit":
                 return flight.mode is Mode.GUIDED
             case "action/follow":
@@ -310,6 +311,16 @@ class MavlinkRig(Hurried, StopRig):
                 return vehicle.mount.photos == result["number"] and shown == stored
             case _:
                 return True
+
+    async def _has_turned(self, reported: float) -> bool:
+        """Wait until it looks where it was told to: it turns on a little after it has said that it does."""
+        vehicle = self.vehicle
+
+        async def there() -> bool:
+            return abs(math.remainder(vehicle.body.yaw - vehicle.pilot.yaw, math.tau)) < KEPT
+
+        await eventually(there, "it looks where it was told to")
+        return abs(math.remainder(reported - vehicle.pilot.yaw, math.tau)) < ALIGNED + KEPT
 
     async def at_rest(self) -> bool:
         vehicle = self.vehicle

@@ -20,7 +20,10 @@ from ports import free_port
 from rcp_gateway.testing import eventually, serve
 from rcp_gateway.testing._serve import OPERATOR, serve_backend
 from rcp_kernel.config.file import parse
-from rcp_mavlink.config import LinkSpec
+from rcp_mavlink.config import LinkSpec, MavlinkConfig
+from rcp_mavlink.dialect import dialect
+from rcp_mavlink.frames import Framer
+from rcp_mavlink.links import Link
 from rcp_mavlink.signing import key_of
 from rcp_mavlink_sim.modes import Mode
 
@@ -132,6 +135,44 @@ async def test_with_a_key_only_who_has_it_is_heard() -> None:
             await eventually(
                 lambda: _is(message in (served.supervisor.detail or "")), "it says why"
             )
+
+
+@pytest.mark.parametrize("kind", ["udpin", "tcpin"])
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("[::]", "0.0.0.0"),
+        ("[::]", "127.0.0.1"),
+        ("[::]", "[::1]"),
+        ("[::1]", "127.0.0.1"),
+        ("0.0.0.0", "127.0.0.1"),
+        ("127.0.0.1", "127.0.0.2"),
+    ],
+)
+async def test_links_are_said_to_clash_if_both_cannot_be_open(
+    kind: str, one: str, other: str
+) -> None:
+    async with AsyncExitStack() as stack:
+        first = await _listening(stack, f"{kind}:{one}:0")
+        texts = [f"{kind}:{host}:{first.port}" for host in (one, other)]
+        opened = True
+        try:
+            await _listening(stack, texts[1])
+        except OSError:
+            opened = False
+    exclusive = KIND.exclusive
+    assert exclusive is not None
+    said = [*exclusive(MavlinkConfig(links=tuple(texts)))]
+    assert said[0].overlaps(said[1]) is not opened
+    assert said[1].overlaps(said[0]) is not opened
+
+
+async def _listening(stack: AsyncExitStack, text: str) -> Link:
+    messages = dialect("ardupilotmega")
+    link = Link(0, text, lambda: Framer(messages, None), lambda *_: None)
+    await link.open()
+    stack.push_async_callback(link.close)
+    return link
 
 
 @pytest.mark.parametrize(

@@ -271,5 +271,34 @@ async def test_what_a_vehicle_tells_another_ground_station_confirms_nothing() ->
         assert puppet.taken == [0, 1, 2, 3, 4]
 
 
+class Late(Puppet):
+    """It accepts an upload of before when the next one has begun."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.taken: list[int] = []
+        self.on["MISSION_COUNT"] = self.begin
+        self.on["MISSION_ITEM_INT"] = self.take_item
+
+    def begin(self, _: Any) -> None:
+        self.send("MISSION_ACK", 255, 190, 0, 0)
+        self.send("MISSION_REQUEST_INT", 255, 190, 0, 0)
+
+    def take_item(self, item: Any) -> None:
+        self.taken.append(item.seq)
+        if item.seq < 2:
+            self.send("MISSION_REQUEST_INT", 255, 190, item.seq + 1, 0)
+        else:
+            self.send("MISSION_ACK", 255, 190, 14, 0)
+
+
+async def test_a_late_yes_to_a_plan_of_before_is_none_to_the_next() -> None:
+    puppet = Late()
+    async with station(puppet) as found:
+        reply = await found.do("action/mission/upload", {"items": ITEMS})
+        assert reply["error"]["code"] == "device_rejected", reply
+        assert set(puppet.taken) == {0, 1, 2}
+
+
 async def _is(truth: object) -> bool:
     return bool(truth)

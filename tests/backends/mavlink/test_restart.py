@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from backends.mavlink.puppet import Puppet, station
-from rcp_mavlink import robot
+from rcp_mavlink import restart
 
 _GOES_ON = 1.5  # s after the acknowledgement, with heartbeats
 
@@ -54,7 +54,7 @@ async def test_a_reboot_ends_when_the_vehicle_has_restarted(
 async def test_a_vehicle_that_only_accepts_a_reboot_has_not_rebooted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(robot, "_COMING_BACK", 2.0)
+    monkeypatch.setattr(restart, "_COMING_BACK", 2.0)
     async with station(Restarting("not at all")) as found:
         reply = await found.do("service/reboot")
         assert (reply["status"], reply["error"]["code"]) == ("failed", "device_timeout"), reply

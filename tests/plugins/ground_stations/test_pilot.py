@@ -35,6 +35,7 @@ class Gateway:
         self.written: list[bytes] = []
         self.sent: list[float | None] = []
         self.refuses: set[str] = set()
+        self.refuses_once: dict[str, str] = {}
         self.free, self.controlled, self.asking = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self.free.set()
         self.controlled.set()
@@ -51,7 +52,8 @@ class Gateway:
             self.sent.append(request.timestamp)
             self.written.append(body["data"])
         self.asked.append(what)
-        error = {"code": "lease_lost"} if what in self.refuses else None
+        code = "lease_lost" if what in self.refuses else self.refuses_once.pop(what, None)
+        error = None if code is None else {"code": code}
         return SimpleNamespace(error=error, body={"lease": "one"})
 
 
@@ -111,6 +113,13 @@ async def until(gateway: Gateway, count: int) -> None:
         return len(gateway.asked) >= count
 
     await eventually(asked, f"{count} requests: {gateway.asked}")
+
+
+async def until_refused(refused: list[Refusal]) -> None:
+    async def told() -> bool:
+        return bool(refused)
+
+    await eventually(told, "a refusal")
 
 
 async def test_control_that_was_lost_is_asked_for_by_a_command_alone() -> None:
@@ -189,10 +198,30 @@ async def test_what_waited_for_control_when_a_stop_came_does_not_follow_it() -> 
         pilot.take(arm())
         await gateway.asking.wait()
         pilot.take(arm(0.0))
+        await until(gateway, 1)
+        assert gateway.written == [arm(0.0).data]
         gateway.controlled.set()
-        await until(gateway, 2)
+        await until_refused(refused)
         assert gateway.written == [arm(0.0).data]
         assert [one.code for one in refused] == ["cancelled"]
+
+
+async def test_a_stop_waits_for_no_lease() -> None:
+    async with flying() as (pilot, gateway, _):
+        gateway.controlled.clear()  # whoever decides about leases does not answer
+        pilot.take(arm(0.0))
+        await until(gateway, 1)
+        assert gateway.asked == ["write"]
+
+
+@pytest.mark.parametrize("code", ["lease_required", "lease_lost"])
+async def test_a_stop_that_needs_a_lease_acquires_one(code: str) -> None:
+    async with flying() as (pilot, gateway, refused):
+        gateway.refuses_once["write"] = code
+        pilot.take(arm(0.0))
+        await until(gateway, 3)
+        assert gateway.asked == ["write", "acquire", "write"]
+        assert not refused
 
 
 @pytest.mark.parametrize(
