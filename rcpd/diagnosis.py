@@ -27,13 +27,13 @@ from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind, Exclusive
 from rcp_protocol.plain import is_map
+from rcp_protocol.similarity import closest
 from rcp_toml.encoding import decoded
 from rcp_toml.positions import Place
 from rcpd.faults import FAULTY, place_in
 from rcpd.installed import obstacle
 from rcpd.survey import Finding, Survey
 from rcpd.suspicions import misplaced_store, suspicions
-from rcpd.words import nearest
 
 __all__ = ["Diagnosis", "explained", "first_of"]
 
@@ -141,7 +141,7 @@ class Diagnosis:
         points = self._points[group]
         if name in points or (group == "features" and name in BUILTIN):
             return True
-        near = nearest(name, points)
+        near = closest(name, points)
         advice = f"did you mean '{near}'?" if near else f"installed: {', '.join(sorted(points))}"
         self._survey.collector.add(place, f"no installed plugin offers {group} '{name}'; {advice}")
         return False

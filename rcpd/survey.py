@@ -18,13 +18,13 @@ from rcp_kernel.config.safety import check_groups
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcp_protocol.similarity import closest
 from rcp_toml.includes import included, merge
 from rcp_toml.numbers import unusable
 from rcp_toml.positions import Place, line_of, positions
 from rcp_toml.variables import NamedFile, Secret, files_of, is_dear, secrets_of, substituted
 from rcpd.faults import FAULTY, Collector, Fault, place_in
 from rcpd.syntax import read_toml
-from rcpd.words import nearest
 
 __all__ = ["Finding", "Survey"]
 
@@ -268,7 +268,7 @@ class Survey:
     def _respelt(self, table: dict[str, Any], place: Place) -> dict[str, Any]:
         """Note misspelt keys that a backend cannot do without, and read them as they were meant."""
         for key in ("use", "tenant"):
-            near = None if key in table else nearest(key, table, 0.6)
+            near = None if key in table else closest(key, table)
             if near is not None and near not in KERNEL_KEYS:
                 self.collector.add((*place, near), f"unknown key; did you mean `{key}`?")
                 table = {key if name == near else name: item for name, item in table.items()}
