@@ -33,6 +33,8 @@ class Fault(msgspec.Struct, frozen=True):
     """Where the file has no node at the place: that of a fault of the form itself."""
     file: str | None = None
     """The included file of such a line."""
+    partial: bool = False
+    """Whether the gateway starts all the same, and serves whatever else there is."""
 
 
 class Collector:
@@ -57,9 +59,10 @@ class Collector:
         missing: str | None = None,
         line: int | None = None,
         file: str | None = None,
+        partial: bool = False,
     ) -> None:
         """Note a fault, unless there is one at this place that says the same."""
-        fault = Fault(place, message, missing, line, file)
+        fault = Fault(place, message, missing, line, file, partial)
         if fault in self.faults:
             return
         if len(self.faults) < self._most:
