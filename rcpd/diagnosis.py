@@ -29,10 +29,10 @@ from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind, Exclusive
 from rcp_protocol.plain import is_map
 from rcp_protocol.similarity import closest
-from rcp_toml.encoding import decoded
 from rcp_toml.positions import Place
 from rcpd.faults import FAULTY, place_in
 from rcpd.installed import obstacle
+from rcpd.reading import text_of
 from rcpd.survey import Finding, Survey
 from rcpd.suspicions import misplaced_store, suspicions
 
@@ -295,10 +295,10 @@ def _is_named(fault: Finding, refusal: str) -> bool:
 
 def explained(error: StartupError, path: Path) -> str:
     """Return why a file cannot be served: the fault with its line, and how many more there are."""
-    try:
-        found = Diagnosis(decoded(path.read_bytes()), str(path))
-    except (OSError, ConfigError):
-        return str(error)
+    text = text_of(path)
+    if isinstance(text, Finding):
+        return text.text(str(path))
+    found = Diagnosis(text, str(path))
     first, count = found.refusal(error), len(found.findings)
     if first is None:
         return summary(str(error), count, path)

@@ -190,6 +190,13 @@ def test_a_start_that_is_refused_tells_of_the_fault_for_which_it_is(
     assert explained(error, file).startswith(f"{file}:{line}: ")
 
 
+def test_a_file_that_is_not_there_is_told_as_the_check_does(tmp_path: Path) -> None:
+    file = tmp_path / "rcp.toml"
+    done = CliRunner().invoke(main, ["serve", str(file)])
+    assert done.exit_code == 1
+    assert f"{file}:1: cannot be read: No such file or directory; `rcpd init`" in done.output
+
+
 def test_a_refusal_that_no_fault_explains_is_told_itself(tmp_path: Path) -> None:
     file = tmp_path / "rcp.toml"
     file.write_text(f'store = {{ path = "{tmp_path}" }}\n')
