@@ -8,7 +8,6 @@ commands that it would have refused must not pass because it is broken.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import inspect
 from collections.abc import Iterable, Mapping
@@ -26,6 +25,7 @@ from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import ConfigError, PluginError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind
+from rcp_protocol.similarity import closest
 
 __all__ = [
     "GROUPS",
@@ -217,8 +217,8 @@ class Plugins:
         for name in sorted(wanted):
             point = points.get(name)
             if point is None:
-                near = difflib.get_close_matches(name, points, n=1)
-                advice = f"did you mean '{near[0]}'?" if near else f"installed: {', '.join(points)}"
+                near = closest(name, points)
+                advice = f"did you mean '{near}'?" if near else f"installed: {', '.join(points)}"
                 raise ConfigError(f"no installed plugin offers {group} '{name}'; {advice}")
             try:
                 module = importlib.import_module(point.value)
@@ -259,8 +259,8 @@ def register(manager: pluggy.PluginManager, module: Any, name: str) -> None:
     marked = {key for key, value in own.items() if hasattr(value, "rcp_impl")}
     for hook in sorted(marked | {k for k in own if k.startswith("rcp_") and k in known}):
         if hook not in known:
-            near = difflib.get_close_matches(hook, known, n=1)
-            advice = f"; did you mean `{near[0]}`?" if near else ""
+            near = closest(hook, known)
+            advice = f"; did you mean `{near}`?" if near else ""
             raise PluginError(f"plugin {name}: unknown hook `{hook}`{advice}")
         if inspect.iscoroutinefunction(getattr(module, hook)):
             raise PluginError(f"plugin {name}: the hook `{hook}` must not be async")

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 
 from rcp_profiles.moving import AERIAL, DRIVE, MOBILE, POWER
 from rcp_profiles.parts import ARM, BATTERY, CAMERA, GRIPPER, LIDAR
 from rcp_profiles.profile import Profile
 from rcp_protocol.errors import PluginError
+from rcp_protocol.similarity import closest
 
 __all__ = ["STANDARD", "profile_named"]
 
@@ -25,7 +25,7 @@ def profile_named(name: str, known: Mapping[str, Profile] = STANDARD) -> Profile
     """
     found = known.get(name)
     if found is None:
-        near = difflib.get_close_matches(name, known, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"there are {', '.join(known)}"
+        near = closest(name, known)
+        advice = f"did you mean '{near}'?" if near else f"there are {', '.join(known)}"
         raise PluginError(f"there is no profile '{name}': {advice}")
     return found

@@ -8,6 +8,7 @@ from __future__ import annotations
 import heapq
 import os
 import struct
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from io import BytesIO
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
 from mcap.records import Channel, Chunk, Schema
@@ -23,13 +25,32 @@ from mcap.writer import MCAP0_MAGIC
 
 from rcp_recordings.names import ACTIVE
 
-__all__ = ["Gap", "Record", "Recording", "Track", "messages", "open_recordings", "records"]
+__all__ = [
+    "Damaged",
+    "Gap",
+    "Record",
+    "Recording",
+    "Track",
+    "messages",
+    "open_recordings",
+    "records",
+]
 
 _HEAD = struct.Struct("<BQ")
 _TIMES = struct.Struct("<QQ")
 _INDEX = struct.Struct("<BQHI")
 _ENTRY = struct.Struct("<QQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
+_FOOTER = struct.Struct("<BQQQI8s")
+_UNSUMMED = 12  # bytes at the end of a file that the checksum of its index is not of
+
+
+class Damaged(McapError):
+    """A part of a file does not have what was written."""
+
+    def __init__(self, file: IO[bytes], part: str, reason: object) -> None:
+        name = Path(str(getattr(file, "name", "the recording"))).name
+        super().__init__(f"{name}: {part} is damaged: {reason}")
 
 
 class Track(NamedTuple):
@@ -122,12 +143,22 @@ class Recording:
             if (track := wanted.get(number)) is None:
                 continue
             self._file.seek(offset)
-            *_, size = _INDEX.unpack(self._file.read(_INDEX.size))
+            head = self._file.read(_INDEX.size)
+            opcode, length, of, size = _INDEX.unpack(head) if len(head) == _INDEX.size else (0,) * 4
+            is_whole = length == size + _INDEX.size - _HEAD.size and size % _ENTRY.size == 0
+            if opcode != Opcode.MESSAGE_INDEX or of != number or not is_whole:
+                raise self._damaged(chunk.offset, "its index is not there")
             for time, place in _ENTRY.iter_unpack(self._file.read(size)):
+                if not chunk.start <= time <= chunk.end:
+                    raise self._damaged(chunk.offset, "its index has another time")
                 yield time, place, track
 
     def _read_summary(self) -> None:
-        summary = SeekingReader(self._file).get_summary()
+        try:
+            _check_index(self._file)
+            summary = SeekingReader(self._file).get_summary()
+        except Exception as error:  # parsers raise what they like
+            raise Damaged(self._file, "the index at its end", error) from error
         if summary is None:
             self._search(os.fstat(self._file.fileno()).st_size)
             return
@@ -181,23 +212,54 @@ class Recording:
             at += length
 
     def _chunk(self, offset: int) -> bytes:
-        self._file.seek(offset + _HEAD.size)
-        stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(self._file)))
-        return stream.read(size)
+        self._file.seek(offset)
+        try:
+            if self._file.read(_HEAD.size)[:1] != bytes((Opcode.CHUNK,)):
+                raise ValueError("it is not there")
+            chunk = Chunk.read(ReadDataStream(self._file))
+            stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+            return stream.read(size)
+        except Exception as error:  # decompressors and parsers raise what they like
+            raise self._damaged(offset, error) from error
+
+    def _damaged(self, offset: int, reason: object) -> Damaged:
+        return Damaged(self._file, f"the chunk at byte {offset}", reason)
 
     def read(
         self, chunk: _Chunk, wanted: Mapping[int, Track], start: int, end: int
     ) -> Iterator[Record]:
         """Iterate over the wanted messages of a chunk in a span of time, each channel in order."""
         found = self._entries(chunk, wanted)
-        places = [(place, track) for time, place, track in found if start <= time < end]
+        places = [one for one in found if start <= one[0] < end]
         if not places:
             return
         data = self._chunk(chunk.offset)
-        for place, track in sorted(places, key=lambda found: found[0]):
-            _, length, _, seq, log_time, publish_time = _MESSAGE.unpack_from(data, place)
-            body = data[place + _MESSAGE.size : place + _HEAD.size + length]
+        for time, place, track in sorted(places, key=lambda found: found[1]):
+            stop = place + _MESSAGE.size
+            if stop > len(data):
+                raise self._damaged(chunk.offset, "its index leads beyond it")
+            opcode, length, of, seq, log_time, publish_time = _MESSAGE.unpack_from(data, place)
+            if (opcode, of, log_time) != (Opcode.MESSAGE, track.channel.id, time):
+                raise self._damaged(chunk.offset, "its index leads to another message")
+            body = data[stop : place + _HEAD.size + length]
             yield Record(log_time, publish_time, seq, track, body)
+
+
+def _check_index(file: IO[bytes]) -> None:
+    """Check that a file ends as a recording, and has the index that was written.
+
+    :raises ValueError: it has not.
+    """
+    size = file.seek(0, os.SEEK_END)
+    file.seek(max(0, size - _FOOTER.size))
+    end = file.read(_FOOTER.size)
+    if len(end) < _FOOTER.size or not end.endswith(MCAP0_MAGIC) or end[0] != Opcode.FOOTER:
+        raise ValueError("the file is cut off, or no recording")
+    *_, start, _, checksum, _ = _FOOTER.unpack(end)
+    file.seek(start)
+    if start and checksum and zlib.crc32(file.read(size - start - _UNSUMMED)) != checksum:
+        raise ValueError("it has another checksum")
+    file.seek(0)
 
 
 def open_recordings(

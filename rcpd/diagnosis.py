@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -27,15 +28,17 @@ from rcp_kernel.errors import ConfigError, StartupError
 from rcp_kernel.features import FeatureKind
 from rcp_kernel.spi import BackendKind, Exclusive
 from rcp_protocol.plain import is_map
-from rcp_toml.encoding import decoded
+from rcp_protocol.similarity import closest
 from rcp_toml.positions import Place
 from rcpd.faults import FAULTY, place_in
 from rcpd.installed import obstacle
+from rcpd.reading import text_of
 from rcpd.survey import Finding, Survey
 from rcpd.suspicions import misplaced_store, suspicions
-from rcpd.words import nearest
 
-__all__ = ["Diagnosis", "explained", "first_of"]
+__all__ = ["Diagnosis", "explained", "summary"]
+
+_NAME = re.compile(r"[^\W\d][\w-]*")
 
 
 class Diagnosis:
@@ -65,6 +68,12 @@ class Diagnosis:
     def findings(self) -> list[Finding]:
         """The faults by line."""
         return self._survey.findings
+
+    def refusal(self, error: StartupError) -> Finding | None:
+        """Return the fault for which the start has refused the file, None if none of them is."""
+        refusals = self._survey.refusals
+        named = (one for one in refusals if _is_named(one, str(error)))
+        return next(named, next(iter(refusals), None))
 
     @property
     def secrets(self) -> list[str]:
@@ -121,7 +130,7 @@ class Diagnosis:
             if name in plugins.features:
                 self._examine_feature(plugins.features[name], raw, config)
         if (misplaced := misplaced_store(config)) is not None:
-            survey.collector.add(("store", "path"), misplaced)
+            survey.collector.add(("store", "path"), misplaced, partial=True)
         for index, one in enumerate(config.certificates):
             with survey.checking(survey.collector.original(("certificates", index))):
                 check_proofs(msgspec.structs.replace(config, certificates=(one,)), "")
@@ -141,7 +150,7 @@ class Diagnosis:
         points = self._points[group]
         if name in points or (group == "features" and name in BUILTIN):
             return True
-        near = nearest(name, points)
+        near = closest(name, points)
         advice = f"did you mean '{near}'?" if near else f"installed: {', '.join(sorted(points))}"
         self._survey.collector.add(place, f"no installed plugin offers {group} '{name}'; {advice}")
         return False
@@ -156,7 +165,7 @@ class Diagnosis:
             if reason is not None:
                 place: Place = ("features", name) if name in config.features else (name,)
                 text = f"the feature '{name}' cannot be loaded: {reason}"
-                self._survey.collector.add(place, text)
+                self._survey.collector.add(place, text, partial=True)
                 lacking[name] = False
         return msgspec.structs.replace(config, features={**config.features, **lacking})
 
@@ -169,7 +178,8 @@ class Diagnosis:
                 places = [self._use(i) for i, b in enumerate(config.backends) if b.use == one.name]
             text = f"cannot be imported: {one.reason}; try: {one.remedy}"
             for place in places:
-                self._survey.collector.add(place, f"{one.group} '{one.name}' {text}")
+                message = f"{one.group} '{one.name}' {text}"
+                self._survey.collector.add(place, message, partial=True)
 
     def _report_wanted(self, plugins: Plugins) -> None:
         """Warn of what is served, but does less without a library that is not installed."""
@@ -218,7 +228,7 @@ class Diagnosis:
         if kind.lacks is None or self._survey.faulty(place):
             return
         if (lacking := kind.lacks(table)) is not None:
-            with self._survey.checking(place, raw):
+            with self._survey.checking(place, raw, partial=True):
                 raise ConfigError(lacking)
 
     def _note_shared(
@@ -233,7 +243,8 @@ class Diagnosis:
                 name = backends[other].name
                 text = f"'{one.link}' is used by the backend '{name}' already: only one can open it"
                 place = collector.original(("backends", index))
-                collector.add(place_in(text, backends[index].options, place), text)
+                at = place_in(text, backends[index].options, place)
+                collector.add(at, text, partial=True)
 
     def _examine_clients(
         self,
@@ -276,19 +287,25 @@ class Diagnosis:
             kind.check(msgspec.convert(table, kind.config, strict=True), config)
 
 
+def _is_named(fault: Finding, refusal: str) -> bool:
+    """Return whether a refusal, which is worded differently, tells of a fault."""
+    names = _NAME.findall(fault.key or "")
+    return fault.message in refusal or (bool(names) and names[-1] in _NAME.findall(refusal))
+
+
 def explained(error: StartupError, path: Path) -> str:
-    """Return why a file cannot be served: its first fault with its line, and how many there are."""
-    try:
-        findings = Diagnosis(decoded(path.read_bytes()), str(path)).findings
-    except (OSError, ConfigError):
-        findings = []
-    if not findings:
-        return str(error)
-    return first_of([one.text(str(path)) for one in findings], path)
+    """Return why a file cannot be served: the fault with its line, and how many more there are."""
+    text = text_of(path)
+    if isinstance(text, Finding):
+        return text.text(str(path))
+    found = Diagnosis(text, str(path))
+    first, count = found.refusal(error), len(found.findings)
+    if first is None:
+        return summary(str(error), count, path)
+    return summary(first.text(str(path)), count - 1, path)
 
 
-def first_of(faults: list[str], path: Path | None = None) -> str:
-    """Return the first of several faults, and how many more there are."""
-    more = len(faults) - 1
+def summary(fault: str, more: int, path: Path | None = None) -> str:
+    """Return one fault, and how many more there are."""
     how = f": `rcpd check {path}`" if path else ""
-    return f"{faults[0]} ({more} more{how})" if more else faults[0]
+    return f"{fault} ({more} more{how})" if more else fault

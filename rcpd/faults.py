@@ -10,9 +10,10 @@ from typing import Any, get_args, get_origin
 import msgspec
 
 from rcp_protocol.plain import is_list, is_map
+from rcp_protocol.similarity import closest
 from rcp_protocol.validation import fault_of
 from rcp_toml.positions import Place
-from rcpd.words import choices, expected, members, nearest, split_annotated
+from rcpd.words import choices, expected, members, split_annotated
 
 __all__ = ["FAULTY", "Collector", "Fault", "place_in"]
 
@@ -32,6 +33,8 @@ class Fault(msgspec.Struct, frozen=True):
     """Where the file has no node at the place: that of a fault of the form itself."""
     file: str | None = None
     """The included file of such a line."""
+    partial: bool = False
+    """Whether the gateway starts all the same, and serves whatever else there is."""
 
 
 class Collector:
@@ -56,9 +59,10 @@ class Collector:
         missing: str | None = None,
         line: int | None = None,
         file: str | None = None,
+        partial: bool = False,
     ) -> None:
         """Note a fault, unless there is one at this place that says the same."""
-        fault = Fault(place, message, missing, line, file)
+        fault = Fault(place, message, missing, line, file, partial)
         if fault in self.faults:
             return
         if len(self.faults) < self._most:
@@ -134,7 +138,7 @@ class Collector:
             mend = f"write [{key}]" if is_map(value) else "move it above the first table"
             self.add(place, f"belongs to the top level of the file: {mend}")
             return None
-        near = nearest(key, allowed)
+        near = closest(key, allowed)
         advice = f"did you mean `{near}`? Allowed: " if near else "allowed: "
         words = ", ".join(sorted(set(allowed))) or "none"
         self.add(place, f"unknown key; {advice}{words}")
@@ -189,7 +193,7 @@ class Collector:
 
     def _unfit(self, node: Any, type_: Any, place: Place) -> str:
         words = choices(type_)
-        near = nearest(node, words) if words and isinstance(node, str) else None
+        near = closest(node, words) if words and isinstance(node, str) else None
         advice = f'; did you mean "{near}"?' if near else ""
         if isinstance(node, str) and expected(type_).startswith("a list"):
             advice = ", with [ ] around it"

@@ -24,9 +24,10 @@ from rcp_kernel.errors import (
 )
 from rcp_kernel.features.configuration import FileState
 from rcpd.configuration_file import RETRY, ConfigurationFile, Proposal
-from rcpd.diagnosis import Diagnosis, first_of
+from rcpd.diagnosis import Diagnosis, summary
 from rcpd.hidden import Hidden
 from rcpd.reload import reload
+from rcpd.survey import Finding
 
 __all__ = ["Probation"]
 
@@ -232,14 +233,16 @@ def _refused(error: StartupError, text: str, source: str) -> InvalidValue:
     """Return why a file is refused: as `rcpd check` says it, without values."""
     found = Diagnosis(text, source, show_values=False)
     hidden = Hidden(text, found.secrets)
-    faults = [
-        msgspec.structs.replace(one, message=hidden.reason(one.message, source))
-        for one in found.findings
-    ]
-    if not faults:
-        return InvalidValue(hidden.reason(str(error), source))
-    message = first_of([one.text(source) for one in faults])
-    return InvalidValue(message, details={"faults": msgspec.to_builtins(faults)})
+
+    def without_values(fault: Finding) -> Finding:
+        return msgspec.structs.replace(fault, message=hidden.reason(fault.message, source))
+
+    faults, first = [without_values(one) for one in found.findings], found.refusal(error)
+    details = {"faults": msgspec.to_builtins(faults)} if faults else None
+    if first is None:
+        return InvalidValue(hidden.reason(str(error), source), details=details)
+    message = summary(without_values(first).text(source), len(faults) - 1)
+    return InvalidValue(message, details=details)
 
 
 def _check_plugins(prepared: Prepared, text: str, source: str) -> None:

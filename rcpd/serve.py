@@ -6,8 +6,8 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from typing import NoReturn
 
@@ -47,7 +47,8 @@ def run(
     take_short_turns()
     recent = configure(config.log.level, config.log.format)
     try:
-        prepared = prepare(config, source)
+        with _interrupt_ends():
+            prepared = prepare(config, source)
     except StartupError as error:
         fail(str(error) if file is None else explained(error, file.path))
     log_weak_keys(config.keys, source)
@@ -65,6 +66,16 @@ def run(
                 raise
             fail(str(found))
     sys.exit(code)
+
+
+@contextmanager
+def _interrupt_ends() -> Generator[None]:
+    """Let Ctrl-C end the process at once: a plugin that is imported could take it for its own fault."""
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _reason(group: BaseExceptionGroup[BaseException]) -> StartupError | None:

@@ -18,13 +18,13 @@ from rcp_kernel.config.safety import check_groups
 from rcp_kernel.contract.identity import fingerprint
 from rcp_kernel.errors import ConfigError
 from rcp_protocol.plain import is_list, is_map
+from rcp_protocol.similarity import closest
 from rcp_toml.includes import included, merge
 from rcp_toml.numbers import unusable
 from rcp_toml.positions import Place, line_of, positions
 from rcp_toml.variables import NamedFile, Secret, files_of, is_dear, secrets_of, substituted
 from rcpd.faults import FAULTY, Collector, Fault, place_in
 from rcpd.syntax import read_toml
-from rcpd.words import nearest
 
 __all__ = ["Finding", "Survey"]
 
@@ -110,7 +110,14 @@ class Survey:
     @property
     def findings(self) -> list[Finding]:
         """The faults by line."""
-        faults = [one for one in self.collector.faults if not self._is_consequence(one)]
+        return self._found(self.collector.faults)
+
+    @property
+    def refusals(self) -> list[Finding]:
+        """Those for which the gateway does not start, by line."""
+        return self._found([one for one in self.collector.faults if not one.partial])
+
+    def _found(self, faults: list[Fault]) -> list[Finding]:
         found = [
             Finding(
                 one.line or line_of(one.place, self._lines),
@@ -119,6 +126,7 @@ class Survey:
                 one.file or self._file(one.place),
             )
             for one in faults
+            if not self._is_consequence(one)
         ]
         return sorted(found, key=lambda one: (one.file or "", one.line))
 
@@ -145,13 +153,13 @@ class Survey:
         return self._broken or self.faulty((*fault.place, fault.missing))
 
     @contextmanager
-    def checking(self, place: Place, node: Any = None) -> Generator[None]:
+    def checking(self, place: Place, node: Any = None, *, partial: bool = False) -> Generator[None]:
         """Note a `ConfigError` of a block as a fault of this place, or of a key that it names."""
         try:
             yield
         except ConfigError as error:
             message = _HEADER.sub("", str(error))
-            self.collector.add(place_in(message, node, place), message)
+            self.collector.add(place_in(message, node, place), message, partial=partial)
 
     def line(self, place: Place) -> int:
         """Return the line of a place."""
@@ -268,7 +276,7 @@ class Survey:
     def _respelt(self, table: dict[str, Any], place: Place) -> dict[str, Any]:
         """Note misspelt keys that a backend cannot do without, and read them as they were meant."""
         for key in ("use", "tenant"):
-            near = None if key in table else nearest(key, table, 0.6)
+            near = None if key in table else closest(key, table)
             if near is not None and near not in KERNEL_KEYS:
                 self.collector.add((*place, near), f"unknown key; did you mean `{key}`?")
                 table = {key if name == near else name: item for name, item in table.items()}
@@ -365,6 +373,7 @@ class Survey:
                 self.collector.add(
                     (*place, "sha256" if key.sha256 else "key"),
                     f"key '{names[digest]}' has the same secret: give each key its own",
+                    partial=True,
                 )
             names.setdefault(digest, key.name)
         for index, one in enumerate(self.config.certificates):

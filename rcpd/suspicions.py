@@ -15,10 +15,10 @@ from rcp_kernel.access.identities import store_file
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.config.identity import KeyConfig, instant
 from rcp_protocol.plain import is_list, is_map
+from rcp_protocol.similarity import closest
 from rcp_toml.positions import Place
 from rcp_toml.variables import NamedFile, Secret
 from rcpd.survey import Survey
-from rcpd.words import nearest
 
 __all__ = ["misplaced_store", "suspicions"]
 
@@ -47,7 +47,7 @@ def _unknown_tenants(survey: Survey) -> Iterator[tuple[Place, str]]:
     for place, tenant in _tenants_in(survey.raw, ()):
         if tenant in known:
             continue
-        near = nearest(tenant, plain)
+        near = closest(tenant, plain)
         if near is None and survey.is_included(place):
             continue  # several gateways may share the file, and another one has the tenant
         advice = f"did you mean '{near}'?" if near else "name one of a [[backends]]"

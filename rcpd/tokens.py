@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rcp_kernel.errors import ConfigError
+from rcp_protocol.similarity import closest
 from rcpd.exits import fail
 
 if TYPE_CHECKING:
@@ -107,8 +108,6 @@ def list_(*, config: Path | None, store: Path | None, every: bool) -> None:
 @_where
 def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
     """Revoke a key by its ID, or all keys of a NAME, and close their sessions."""
-    import difflib
-
     try:
         path, _ = _found(config, store)
         with _opened(path) as table:
@@ -117,8 +116,8 @@ def revoke(named: str, *, config: Path | None, store: Path | None) -> None:
     except ConfigError as error:
         fail(str(error))
     if not gone:
-        near = difflib.get_close_matches(named, [w for t in left for w in (t.name, t.id)], n=1)
-        advice = f"; did you mean '{near[0]}'?" if near else "; `rcpd token list` lists the keys"
+        near = closest(named, [word for one in left for word in (one.name, one.id)])
+        advice = f"; did you mean '{near}'?" if near else "; `rcpd token list` lists the keys"
         fail(f"no valid key is named '{named[:64]}'{advice}")
     for one in gone:
         click.echo(f"revoked {one.id} {one.name}")

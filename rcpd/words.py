@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import enum
 import re
 import types
@@ -12,7 +11,7 @@ from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 import msgspec
 from msgspec import Meta
 
-__all__ = ["choices", "expected", "nearest", "split_annotated"]
+__all__ = ["choices", "expected", "split_annotated"]
 
 _SCALARS = {
     bool: "true or false",
@@ -54,12 +53,6 @@ def choices(type_: Any) -> list[str]:
         return [str(one.value) for one in type_]
     several = members(type_)
     return [] if len(several) == 1 else [word for one in several for word in choices(one)]
-
-
-def nearest(word: str, words: Iterable[str], cutoff: float = 0.5) -> str | None:
-    """Return the word that was probably meant."""
-    near = difflib.get_close_matches(word, list(words), n=1, cutoff=cutoff)
-    return near[0] if near else None
 
 
 def expected(type_: Any) -> str:

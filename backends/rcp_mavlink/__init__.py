@@ -7,7 +7,6 @@ parts of one vehicle. Importing this package is cheap; pymavlink is imported whe
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +17,7 @@ from rcp_kernel.errors import ConfigError
 from rcp_kernel.spi import BackendKind, Exclusive
 from rcp_mavlink.backend import MavlinkBackend, open_mavlink
 from rcp_mavlink.config import LinkSpec, MavlinkConfig, TwinConfig
+from rcp_protocol.similarity import closest
 
 __all__ = ["MavlinkBackend", "MavlinkConfig", "TwinConfig", "open_mavlink", "rcp_backends"]
 
@@ -28,8 +28,8 @@ def _check(config: MavlinkConfig) -> None:
         return
     if not name.isidentifier() or find_spec(f"pymavlink.dialects.v20.{name}") is None:
         known = [one.name for one in iter_modules(import_module("pymavlink.dialects.v20").__path__)]
-        near = get_close_matches(name, known, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"it has {', '.join(sorted(known))}"
+        near = closest(name, known)
+        advice = f"did you mean '{near}'?" if near else f"it has {', '.join(sorted(known))}"
         raise ConfigError(f"`dialect`: pymavlink has no '{name}'; {advice}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Container, Mapping, Sequence
@@ -15,6 +14,7 @@ from rcp_kernel.errors import InvalidValue
 from rcp_kernel.model import READS, Resource
 from rcp_kernel.spi import Progress
 from rcp_mavlink.commands import Command, Commands
+from rcp_protocol.similarity import closest, nearest
 
 __all__ = ["DirectCommands", "allowed"]
 
@@ -181,7 +181,7 @@ class DirectCommands:
     def _find(self, name: str) -> _Known:
         known = self._known.get(name)
         if known is None:
-            near = difflib.get_close_matches(name, self._known, 3, 0.6)
+            near = nearest(name, self._known)
             raise InvalidValue(
                 f"there is no command {name}",
                 remedy=f"Did you mean {' or '.join(near)}?" if near else "See service/commands.",
@@ -262,11 +262,11 @@ def _params(name: str, known: _Known, given: Mapping[str, float | None]) -> list
     for label, value in given.items():
         number = _number(label, known)
         if number is None:
-            near = difflib.get_close_matches(label, known.labels, 1, 0.5)
+            near = closest(label, known.labels)
             named = [each for each in known.labels if not each.startswith("param")]
             raise InvalidValue(
                 f"{name} has no parameter {label}",
-                remedy=f"Did you mean {near[0]}?"
+                remedy=f"Did you mean {near}?"
                 if near
                 else f"It has {', '.join(named) or 'none with a name'}.",
                 details={"pointer": f"/params/{label}"},

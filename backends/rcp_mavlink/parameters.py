@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import difflib
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -15,6 +14,7 @@ from rcp_mavlink.hub import Hub
 from rcp_mavlink.paramcoding import REAL, bounds, decoded, param_set
 from rcp_mavlink.parameter_hazards import check_sent
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.similarity import nearest
 from rcp_protocol.timeouts import timeout
 
 __all__ = ["Parameter", "Parameters"]
@@ -135,7 +135,7 @@ class Parameters:
         raise self._unknown(name)
 
     def _unknown(self, name: str) -> UnknownPath:
-        near = difflib.get_close_matches(name.upper(), self.known, 3, 0.6)
+        near = nearest(name, self.known)
         remedy = (
             f"Did you mean {' or '.join(near)}?" if near else "See param/* for existing parameters."
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import difflib
 import math
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -17,6 +16,7 @@ from rcp_mavlink.messages import Item
 from rcp_mavlink.plan_files import Names
 from rcp_mavlink.terrain import check_offered
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.similarity import nearest
 from rcp_protocol.timeouts import timeout
 
 __all__ = ["FENCE", "MISSION", "RALLY", "Plans"]
@@ -69,7 +69,7 @@ class Plans:
         name = item.command.removeprefix("MAV_CMD_")
         number = int(name) if name.isdigit() else self._commands.get(name)
         if number is None or number > 65535:
-            near = difflib.get_close_matches(name, self._commands, 3, 0.6)
+            near = nearest(name, self._commands)
             raise InvalidValue(
                 f"there is no command {item.command}",
                 remedy=f"Did you mean {' or '.join(near)}?" if near else None,

@@ -75,6 +75,15 @@ class ReplayBackend(BaseBackend):
         )
         self.report()
 
+    def doubted(self, gap: Gap) -> None:
+        """Report that what is shown after a seek may be older than that moment."""
+        self._problems.begin(
+            _FILES,
+            f"values of {iso(self.player.position)} may be older: the recording cannot be read from "
+            f"{iso(gap.start)} until {iso(gap.end)}: {gap.error}. Play on, or repair the file with "
+            "`mcap recover`",
+        )
+
     async def read(self, name: str) -> Any:
         """Return the state; all else is only published."""
         if name == _STATE:
@@ -117,8 +126,10 @@ async def open_replay(config: ReplayConfig, host: Host) -> AsyncGenerator[Replay
             recordings = await asyncio.to_thread(
                 lambda: list(open_recordings([(file, None) for file in files], stack))
             )
-        except (McapError, OSError) as error:
-            raise ConfigError(f"replay: a file is no recording: {error}") from error
+        except McapError as error:
+            raise ConfigError(f"replay: {error}. Repair it with `mcap recover`") from error
+        except OSError as error:
+            raise ConfigError(f"replay: a file cannot be read: {error}") from error
         tracks = _tracks(recordings)
         if not tracks:
             raise ConfigError("replay: nothing in the files was recorded by a gateway")
@@ -138,6 +149,7 @@ async def open_replay(config: ReplayConfig, host: Host) -> AsyncGenerator[Replay
         backend.report()
         player.on_jump = backend.jumped
         player.on_gap = backend.interrupted
+        player.on_doubt = backend.doubted
         tasks = [
             asyncio.ensure_future(_play(player, problems)),
             asyncio.ensure_future(_tell(backend)),

@@ -53,6 +53,8 @@ class Player:
         """Called when its time was set, before anything of then is published, and at the end."""
         self.on_gap: Callable[[Gap], None] = lambda _: None
         """Called when it has paused where a part cannot be read; playing on passes over that."""
+        self.on_doubt: Callable[[Gap], None] = lambda _: None
+        """Called after a seek, if what was the case then may be in a part that cannot be read."""
         self._position = self.start
         self._since: float | None = None
         """Time of the loop at `_position`, while the recording's time goes on."""
@@ -93,8 +95,13 @@ class Player:
             self._hold()
             self._rewind(moment)
             self.on_jump()
-            for record in await self._read_by(self._before, moment):
-                self._send(record)
+            found = await self._read_by(self._before, moment)
+            for record in found:
+                if isinstance(record, Record):
+                    self._send(record)
+            gap = next((one for one in found if isinstance(one, Gap)), None)
+            if gap is not None:
+                self.on_doubt(gap)
         self._changed.set()
 
     async def step(self, count: int) -> None:
@@ -229,9 +236,13 @@ class Player:
     def _read(self) -> list[Record | Gap]:
         return list(islice(self._records, _AHEAD))
 
-    def _before(self, moment: int) -> list[Record]:
-        """Find the last record of each channel before a moment, in the chunks just before it."""
+    def _before(self, moment: int) -> list[Record | Gap]:
+        """Find the last record of each channel before a moment, in the chunks just before it.
+
+        Chunks that cannot be read, in which some of them may be, are gaps.
+        """
         found: dict[Any, Record] = {}
+        gaps: list[Gap] = []
         chunks = [
             (chunk, recording)
             for recording in self._recordings
@@ -252,9 +263,10 @@ class Player:
                 }
             except Exception as error:  # a damaged part hides nothing of the others
                 log.warning("replay_part_unreadable", error=str(error))
+                gaps.append(Gap(chunk.start, chunk.end, error))
                 continue
             found |= last
-        return sorted(found.values(), key=lambda record: record.log_time)
+        return sorted((*found.values(), *gaps), key=_time)
 
 
 def _time(one: Record | Gap) -> int:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from rcp_gateway.testing import ADMIN, MemoryClient, Served, serve
 from rcp_kernel.clock import parse_time
+from rcp_kernel.errors import NotReady
 from rcp_replay import rcp_backends
 from rcp_replay.backend import ReplayBackend
 
@@ -61,6 +62,8 @@ async def replayed(
     async with serve(config, *rcp_backends()) as served:
         (supervisor,) = served.server.supervisors
         await asyncio.wait_for(supervisor.settled.wait(), _BOUND)
+        if not served.lives:
+            raise NotReady(supervisor.last_error or "the replay has not opened")
         backend = getattr(served.life.backend, "inner", served.life.backend)
         assert isinstance(backend, ReplayBackend)
         yield Replayed(served, backend, served.client(ADMIN))

@@ -6,12 +6,13 @@ time. Written in the ROS thread and read on the event loop, under a lock.
 
 from __future__ import annotations
 
-import difflib
 import math
 from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import NamedTuple
+
+from rcp_protocol.similarity import nearest
 
 __all__ = ["Extrapolation", "Frames", "NotConnected", "Place", "UnknownFrame"]
 
@@ -39,7 +40,7 @@ class UnknownFrame(Exception):
 
     def __init__(self, name: str, known: list[str]) -> None:
         super().__init__(f"there is no frame '{name}'")
-        self.near = difflib.get_close_matches(name, known, 3, 0.5)
+        self.near = nearest(name, known)
         self.known = known
 
 

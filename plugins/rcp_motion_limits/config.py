@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated
@@ -15,6 +14,7 @@ from rcp_geometry import Corner, Polygon
 from rcp_kernel.config.role import Role
 from rcp_kernel.errors import ConfigError, InvalidPath
 from rcp_kernel.model import BRANCHES, Kind, Operation, Pattern, kind_of
+from rcp_protocol.similarity import closest
 
 __all__ = [
     "Bound",
@@ -105,8 +105,8 @@ def _pattern(text: str) -> Pattern:
         steps = steps[2:]
     branch = steps[0] if steps else ""
     if branch not in (*_COMMANDED, "*", "**"):
-        near = difflib.get_close_matches(branch, _COMMANDED, n=1)
-        advice = f"did you mean '{near[0]}'?" if near else f"use one of {', '.join(_COMMANDED)}"
+        near = closest(branch, _COMMANDED)
+        advice = f"did you mean '{near}'?" if near else f"use one of {', '.join(_COMMANDED)}"
         raise InvalidPath(f"{text!r} matches no branch that takes commands; {advice}")
     return Pattern(text if text.startswith("/tenant/") else f"/tenant/*{text}")
 
@@ -160,8 +160,8 @@ def _check_reach(
             raise ConfigError(f"{where}: paths: {path!r} refers to the unknown tenant '{tenant}'")
     for role in table.roles:
         if role not in roles:
-            near = difflib.get_close_matches(role, roles, n=1)
-            known = f"did you mean '{near[0]}'?" if near else f"known roles: {', '.join(roles)}"
+            near = closest(role, roles)
+            known = f"did you mean '{near}'?" if near else f"known roles: {', '.join(roles)}"
             raise ConfigError(f"{where}: roles: unknown role '{role}'; {known}")
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Iterator
-from difflib import get_close_matches
 from typing import Any
 
 import structlog
@@ -16,6 +15,7 @@ from rcp_kernel.model import Operation
 from rcp_kernel.sessions.session import Session
 from rcp_places.config import PlacesConfig
 from rcp_places.messages import EARTH, EVERYONE, Edit, Place, Position, Shape, check_shape
+from rcp_protocol.similarity import nearest
 
 __all__ = ["PATH", "Places"]
 
@@ -71,7 +71,7 @@ class Places:
         known |= {one.name: one for one in self._visible(session) if one.tenant == tenant}
         place = known.get(name)
         if place is None:
-            near = get_close_matches(name, known, _NEAREST, 0.4) or sorted(known)[:_NEAREST]
+            near = nearest(name, known, _NEAREST) or sorted(known)[:_NEAREST]
             hint = f" The nearest are: {', '.join(near)}." if near else ""
             raise InvalidValue(
                 f"there is no place '{name[:64]}'",

@@ -39,13 +39,13 @@ from rcp_plans.lines import from_lines
 from rcp_plans.looking import looked_at
 from rcp_plans.model import Execute, Group, Operate, Parallel, Plan, Read, Retry, Step, Write
 from rcp_plans.names import NameScope
-from rcp_plans.nearest import Nearest, nearest
 from rcp_plans.node import MARK, Checked, Node, references
 from rcp_plans.pace import Allowance
 from rcp_plans.places import place_in
 from rcp_plans.reading import ConditionReader
 from rcp_plans.symbolic import from_symbolic
 from rcp_protocol.plain import is_map
+from rcp_protocol.similarity import Nearest, nearest
 from rcp_scheduling.turns import Work
 
 __all__ = ["PlanChecker"]
@@ -58,6 +58,8 @@ _OPERATIONS = {
 _NOT_HERE = ("/system/plans", "/system/approvals")
 _SEARCHES = 5  # misspelt names per plan for which similar names are searched
 _STEP = 32  # resources checked per step
+_COMPARED = 2000  # resources of which the paths are compared with an unknown one
+_AT_ONCE = 400  # names compared in one step
 _MARK = f'"{MARK}"'.encode()
 
 
@@ -178,7 +180,7 @@ class _Check:
         """
         for code in retry.on if retry is not None else ():
             if code not in BY_CODE:
-                near = nearest(code, BY_CODE, 0.8) if self._may_search() else []
+                near = nearest(code, BY_CODE) if self._may_search() else []
                 raise InvalidValue(
                     f"`retry` has the unknown error code '{code[:64]}'",
                     remedy=f"Did you mean {', '.join(near)}?" if near else None,
@@ -251,7 +253,9 @@ class _Check:
             if id_ not in known:
                 there = id_ in self._ids
                 why = "does not end before this step" if there else "is not in the plan"
-                near = [] if there or not self._may_search() else nearest(id_, known)
+                near = (
+                    [] if there or not self._may_search() else nearest(id_, islice(known, _AT_ONCE))
+                )
                 advice = f"Did you mean {', '.join(near)}? " if near else ""
                 raise InvalidValue(
                     f"the value refers to the result of step '{id_[:64]}', which {why}",
@@ -356,11 +360,11 @@ class _Check:
     def _near(self, path: str, operation: Operation) -> Generator[None, None, list[str]]:
         if not self._may_search():
             return []
-        near = Nearest(path, 0.85)  # paths have much in common
+        near = Nearest(path)
         tenants = self._session.rights.tenants
         permitted = self._session.rights.mask
-        entries = iter(list(self._host.registry.entries.values()))
-        while not near.full and (some := list(islice(entries, _STEP))):
+        entries = islice(list(self._host.registry.entries.values()), _COMPARED)
+        while some := list(islice(entries, _STEP)):
             for entry in some:
                 if (
                     entry.operations & operation
@@ -369,7 +373,7 @@ class _Check:
                 ):
                     near.compare(entry.path)
             yield
-        return near.found
+        return near.found()
 
     def _value(self, step: Write | Execute, entry: Entry) -> tuple[Any, bool]:
         """Return the value of a step, and whether it is the one that the robot will get."""

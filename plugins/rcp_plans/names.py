@@ -13,15 +13,16 @@ from rcp_kernel.sessions.session import Session
 from rcp_kernel.tree.entry import Entry
 from rcp_kernel.tree.registry import Registry
 from rcp_plans.lines import word
-from rcp_plans.nearest import nearest
 from rcp_plans.symbolic import Action
 from rcp_protocol.plain import is_map
+from rcp_protocol.similarity import nearest
 from rcp_scheduling.turns import Work
 
 __all__ = ["NameScope"]
 
 _CALLED = (Kind.ACTION, Kind.SERVICE)
 _STEP = 32  # resources checked per step
+_COMPARED = 400  # names compared with a misspelt one
 _SEARCHES = 5  # misspelt names per plan for which similar names are searched
 _DEEP = 8  # nesting of objects over which arguments are distributed
 
@@ -85,7 +86,8 @@ class NameScope:
 
     def _unknown(self, text: str, name: str, known: Iterable[str]) -> UnknownPath:
         self._searches += 1
-        near = nearest(_plain(name), sorted(known)) if self._searches <= _SEARCHES else []
+        compared = islice(sorted(known), _COMPARED) if self._searches <= _SEARCHES else ()
+        near = nearest(_plain(name), compared)
         advice = f"Did you mean {', '.join(near)}? " if near else ""
         return UnknownPath(
             text,

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections import defaultdict
 from collections.abc import Mapping
 from typing import NamedTuple
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import Channel, DataEnd, Footer, MetadataIndex, Schema, Statistics
+from mcap.records import Channel, DataEnd, MetadataIndex, Schema, Statistics
 from mcap.writer import MCAP0_MAGIC
 
 __all__ = ["ChunkPlace", "Summary"]
 
 _HEAD = struct.Struct("<BQ")
 _PLACE = struct.Struct("<QQQQI")
+_FOOTER = struct.Struct("<BQQQ")  # without its checksum, which is of all before it
 
 
 class ChunkPlace(NamedTuple):
@@ -81,7 +83,8 @@ class Summary:
         """Return all that follows the data of a file, which ends at `offset`."""
         out = RecordBuilder()
         DataEnd(0).write(out)
-        summary = offset + out.count
+        end = out.end()
+        summary = offset + len(end)
         for record in (*self.schemas.values(), *self.channels.values()):
             record.write(out)
         Statistics(
@@ -97,6 +100,7 @@ class Summary:
         ).write(out)
         for index in self.metadata:
             index.write(out)
-        begin = out.end()
-        Footer(summary_start=summary, summary_offset_start=0, summary_crc=0).write(out)
-        return b"".join((begin, *self._chunks, out.end(), MCAP0_MAGIC))
+        index = b"".join((out.end(), *self._chunks))
+        footer = _FOOTER.pack(Opcode.FOOTER, 20, summary, 0)
+        checksum = zlib.crc32(footer, zlib.crc32(index))
+        return b"".join((end, index, footer, checksum.to_bytes(4, "little"), MCAP0_MAGIC))

@@ -6,7 +6,6 @@ Each plugin's table is decoded as the type that the plugin declares, so that no 
 
 from __future__ import annotations
 
-import difflib
 import re
 import tomllib
 from collections.abc import Callable, Iterable
@@ -31,6 +30,7 @@ from rcp_kernel.config.safety import Safety, check_groups
 from rcp_kernel.errors import ConfigError
 from rcp_kernel.model import Operation
 from rcp_protocol.plain import is_list, is_map
+from rcp_protocol.similarity import closest
 from rcp_protocol.validation import fault_of
 from rcp_toml.document import document
 from rcp_toml.encoding import NotUtf8, decoded
@@ -323,9 +323,9 @@ def _explain(error: msgspec.ValidationError, raw: Any, type_: type[Any]) -> str:
         value = Withheld() if is_dear(at) else _follow(raw, at)
         return f"{at} = {_shown(value)}: {fault.what}"
     allowed = _keys_at(type_, at)
-    near = difflib.get_close_matches(fault.unknown, allowed, n=1, cutoff=0.5)
+    near = closest(fault.unknown, allowed)
     place = f"[{at}] has" if at else "there is"
-    advice = f"; did you mean `{near[0]}`?" if near else ""
+    advice = f"; did you mean `{near}`?" if near else ""
     return f"{place} an unknown key `{fault.unknown}`{advice} Allowed: {', '.join(allowed)}."
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Annotated
@@ -13,6 +12,7 @@ from msgspec import Meta
 from rcp_kernel.config.role import Role
 from rcp_kernel.contract.identity import Grants, granted
 from rcp_kernel.errors import ConfigError
+from rcp_protocol.similarity import closest
 
 __all__ = [
     "Anonymous",
@@ -110,9 +110,9 @@ def check_grants(
 
 
 def _near(word: str, words: list[str]) -> str:
-    near = difflib.get_close_matches(word, words, n=1)
+    near = closest(word, words)
     if near:
-        return f"; did you mean '{near[0]}'?"
+        return f"; did you mean '{near}'?"
     return f"; known: {', '.join(words)}" if words else ""
 
 

@@ -39,8 +39,12 @@ def typescript(folder: Path) -> Path:
 
 
 @pytest.mark.skipif(node() is None, reason="needs Node")
-@pytest.mark.parametrize("encoding", ["json", "msgpack"])
-def test_the_typescript_client_does_what_its_own_tests_say(tmp_path: Path, encoding: str) -> None:
+@pytest.mark.parametrize(
+    ("tests", "encoding"), [("client", "json"), ("client", "msgpack"), ("frozen", "json")]
+)
+def test_the_typescript_client_does_what_its_own_tests_say(
+    tmp_path: Path, tests: str, encoding: str
+) -> None:
     found = node()
     assert found is not None
     client = typescript(tmp_path)
@@ -48,7 +52,7 @@ def test_the_typescript_client_does_what_its_own_tests_say(tmp_path: Path, encod
         admin = re.search(r"rcp_ad_[\w-]+", running.banner)
         assert admin is not None
         done = subprocess.run(
-            [found, "--no-warnings", "--test", "--test-timeout=60000", "test/client.test.ts"],
+            [found, "--no-warnings", "--test", "--test-timeout=60000", f"test/{tests}.test.ts"],
             capture_output=True,
             text=True,
             timeout=120,

@@ -9,8 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from broken import BROKEN, CAN, MAVLINK, NEEDS, PAN, Broken
+from rcp_gateway.server import prepare
+from rcp_kernel.config.file import load
+from rcp_kernel.errors import StartupError
 from rcpd.cli import main
-from rcpd.diagnosis import Diagnosis
+from rcpd.diagnosis import Diagnosis, explained
 
 MARK = "#!"
 
@@ -31,6 +34,14 @@ def needs_its_extra(text: str) -> None:
     for part, module in NEEDS.items():
         if part in text:
             pytest.importorskip(module)
+
+
+def refusal(file: Path) -> StartupError | None:
+    try:
+        prepare(load(file), str(file))
+    except StartupError as error:
+        return error
+    return None
 
 
 def test_there_are_enough() -> None:
@@ -160,6 +171,37 @@ def test_a_gateway_that_nobody_can_reach_is_warned_of(tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["check", str(file)])
     assert done.exit_code == 0
     assert f"warning: {file}:2: [transports] asgi: nothing listens" in done.output
+
+
+@pytest.mark.parametrize("one", BROKEN, ids=lambda one: one.says)
+def test_a_start_that_is_refused_tells_of_the_fault_for_which_it_is(
+    one: Broken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RCP_EMPTY", "")
+    needs_its_extra(one.text)
+    lesser = "" if "store" in one.text else f'store = {{ path = "{tmp_path}" }} # is a folder\n'
+    file, text = tmp_path / "rcp.toml", lesser + one.text
+    file.write_text(text)
+    error = refusal(file)
+    if error is None:
+        assert Diagnosis(text, str(file)).refusal(StartupError("")) is None
+        return
+    (line,) = marked(text)
+    assert explained(error, file).startswith(f"{file}:{line}: ")
+
+
+def test_a_file_that_is_not_there_is_told_as_the_check_does(tmp_path: Path) -> None:
+    file = tmp_path / "rcp.toml"
+    done = CliRunner().invoke(main, ["serve", str(file)])
+    assert done.exit_code == 1
+    assert f"{file}:1: cannot be read: No such file or directory; `rcpd init`" in done.output
+
+
+def test_a_refusal_that_no_fault_explains_is_told_itself(tmp_path: Path) -> None:
+    file = tmp_path / "rcp.toml"
+    file.write_text(f'store = {{ path = "{tmp_path}" }}\n')
+    told = explained(StartupError("the plugin 'x' has a hook that is async"), file)
+    assert told == f"the plugin 'x' has a hook that is async (1 more: `rcpd check {file}`)"
 
 
 def test_serve_names_the_first_fault_with_its_line_and_counts_the_others(tmp_path: Path) -> None:

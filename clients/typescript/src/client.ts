@@ -210,11 +210,8 @@ export class Client<T extends Catalogue = Untyped> {
     return (await this.#ask({ type: "execute", path: PLANS, body, ...this.#command(checked) })).body.steps as PlannedStep[];
   }
 
-  /** What comes with a command; its time, so that one that was delayed on the way is refused where its path is strict. */
   #command(options: CommandOptions): Partial<Request> {
-    const timestamp = this.session.stamp();
     return {
-      ...(timestamp !== undefined && { timestamp }),
       ...(options.dryRun && { dry_run: true }),
       ...(options.deadline !== undefined && { deadline: options.deadline }),
       ...(options.idempotencyKey !== undefined && { idempotency_key: options.idempotencyKey }),

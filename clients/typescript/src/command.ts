@@ -1,4 +1,4 @@
-import { type ConnectionLost, RcpError } from "./errors.ts";
+import { RcpError } from "./errors.ts";
 import { FINAL, type Reply, type WireError } from "./wire.ts";
 
 /** Feedback while a command runs. */
@@ -97,8 +97,8 @@ export class Command<O = any, F = any> {
     return last;
   }
 
-  /** The session it was started in is gone: how it ends will not be told here. */
-  lose(error: ConnectionLost): void {
+  /** The session it was started in is gone, or it was not sent: how it ends will not be told here. */
+  lose(error: RcpError): void {
     this.status = "failed";
     this.#fail(error);
     for (const listener of [...this.#listeners]) listener();

@@ -36,6 +36,12 @@ export class ConnectionLost extends RcpError {
   }
 }
 
+/** The error of a command that was not sent: its age could not be told, or it was overtaken. */
+export function withheld(why: string, code = "deadline_exceeded"): RcpError {
+  const remedy = "Nothing was sent: send it again if it is still wanted.";
+  return new RcpError({ code, message: why, origin: "client", remedy, retryable: true });
+}
+
 /** The error of a request that was sent and has no answer in time. */
 export function unanswered(request: Request, seconds: number): RcpError {
   const message = `no answer within ${seconds} s`;
@@ -46,12 +52,17 @@ export function unanswered(request: Request, seconds: number): RcpError {
 
 /** Whether a request that was sent may be repeated without knowing what became of it: it does not act twice. */
 export function repeatable(request: Request): boolean {
-  const acts = request.type === "write" || request.type === "execute";
-  return !acts || request.dry_run === true || request.idempotency_key !== undefined || stops(request);
+  return !acts(request) || request.idempotency_key !== undefined;
+}
+
+/** Whether a request changes something, and is more than a stop: carried out late, it may do harm. */
+export function acts(request: Request): boolean {
+  const { type, dry_run } = request;
+  return (type === "write" || type === "execute") && dry_run !== true && !stops(request);
 }
 
 /** Whether all it does is to stop robots, which may be done twice; a late reset might undo the stop of somebody else. */
-function stops({ type, path = "", body }: Request): boolean {
+export function stops({ type, path = "", body }: Request): boolean {
   if (path === "/system/estop") return !(body as { reset?: boolean } | null | undefined)?.reset;
   return type === "execute" && HOLD.test(path);
 }

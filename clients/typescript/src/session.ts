@@ -1,7 +1,7 @@
 import { Addresses } from "./addresses.ts";
 import { Clock, Moment, steady } from "./clock.ts";
 import type { Command } from "./command.ts";
-import { ConnectionLost, RcpError, repeatable, unanswered } from "./errors.ts";
+import { acts, ConnectionLost, RcpError, repeatable, stops, unanswered, withheld } from "./errors.ts";
 import { Backoff, Link, type Incoming } from "./link.ts";
 import { keyed, notYet, repeatOf } from "./repeats.ts";
 import type { Subscription } from "./subscription.ts";
@@ -29,14 +29,25 @@ export interface SessionOptions {
 
 interface Waiting {
   request: Request & { id: string };
+  made: Moment;
   take: (reply: Reply) => boolean;
-  lose: (error: ConnectionLost) => void;
+  lose: (error: RcpError) => void;
   /** Whether it may be asked again although it was sent. */
   repeatable: boolean;
   /** Whether it was sent over a connection that was cut since. */
   cut: boolean;
   /** Whether the gateway has answered: what becomes of it is told for as long as the session lasts. */
   answered: boolean;
+}
+
+type Asked = Omit<Waiting, "made" | "repeatable" | "request">;
+
+/** A command whose age cannot be told until the next round trip. */
+interface Held {
+  request: Request & { id: string };
+  asked: Asked;
+  made: Moment;
+  timer: ReturnType<typeof setTimeout>;
 }
 
 const MOVES = new Set(["read", "discover", "status", "write", "execute"]);
@@ -46,7 +57,13 @@ const SETTLE = 3000; // ms after a resume until what has no answer counts as los
 const SILENCE = 6000; // ms without any answer after which a connection is dead
 const OPENING = 10_000; // ms that a connection may take to stand, the greeting included
 const AGAIN = 1000; // ms until a hub that does not reach a robot yet is asked again
+const NO_TIME = "no round trip within its deadline, after this machine slept or its clock was set";
 const REFUSALS = new Set(["unauthenticated", "token_expired", "forbidden", "version_unsupported"]);
+
+/** Seconds that a held command has until it is too old. */
+function patience({ deadline = DEADLINE }: Request): number {
+  return deadline;
+}
 
 /** What a client holds at the gateway, over as many connections as it takes. */
 export class Session {
@@ -69,6 +86,8 @@ export class Session {
   #settling: ReturnType<typeof setTimeout> | undefined;
   #pinging: ReturnType<typeof setInterval> | undefined;
   #waiting = new Map<string, Waiting>();
+  /** In the order in which they were made. */
+  #held: Held[] = [];
   /** Subscriptions that are wanted no more, which the gateway has not been told yet. */
   #orphans = new Set<string>();
   #names = 0;
@@ -129,16 +148,6 @@ export class Session {
     if (!this.clock.known) this.#ping();
   }
 
-  /**
-   * The gateway's time for a command that is made now, undefined where it is not known. After a sleep that is until the
-   * next round trip, which begins at once: a guess would have the gateway refuse what is of now as stale.
-   */
-  stamp(): string | undefined {
-    if (this.clock.known) return new Date(this.clock.now()).toISOString();
-    if (this.#pinged === undefined || this.#pinged.torn) this.#ping();
-    return undefined;
-  }
-
   /** Cut the connection as a lost network would: the session goes on. */
   cut(): void {
     this.#link?.close("it was cut here");
@@ -158,6 +167,7 @@ export class Session {
         this.#waiting.delete(id);
         reject(unanswered(request, seconds));
       }, seconds * 1000);
+      if (request.type === "cancel") this.#withdraw(({ path }) => path === request.path, "it was cancelled");
       this.#send({ ...request, id }, {
         take: (reply) => {
           if (!FINAL.has(reply.status)) return false;
@@ -186,15 +196,59 @@ export class Session {
     });
   }
 
-  #send(request: Request & { id: string }, waiting: Omit<Waiting, "repeatable" | "request">): void {
+  #send(request: Request & { id: string }, asked: Asked): void {
     if (this.state !== "open" || this.#link === undefined) {
       const why = this.problem?.message ?? "the connection is not open yet";
-      waiting.lose(new ConnectionLost(`not connected: ${why}`));
+      asked.lose(new ConnectionLost(`not connected: ${why}`));
       return;
     }
+    if (stops(request)) this.#withdraw(() => true, "a stop was made after it");
+    if (acts(request) && !this.clock.known) return this.#hold(request, asked);
+    // A stop has no time: it is never too old.
+    const timed = (acts(request) || request.dry_run === true) && this.clock.known;
+    const timestamp = timed ? { timestamp: new Date(this.clock.now()).toISOString() } : {};
+    this.#transmit(this.#link, { ...request, ...timestamp }, asked, new Moment());
+  }
+
+  #transmit(link: Link, request: Request & { id: string }, asked: Asked, made: Moment): void {
     const sent = this.#addresses.several ? { ...keyed(request), id: request.id } : request;
-    this.#waiting.set(request.id, { ...waiting, request: sent, repeatable: repeatable(request) });
-    this.#link.send(sent);
+    this.#waiting.set(request.id, { ...asked, request: sent, made, repeatable: repeatable(request) });
+    link.send(sent);
+  }
+
+  /**
+   * Keep a command back until a round trip, which begins at once: this machine slept, or its clock was set. Without the
+   * gateway's time its age could not be checked, however long it waited in a connection that is half dead.
+   */
+  #hold(request: Request & { id: string }, asked: Asked): void {
+    const timer = setTimeout(() => this.#withdraw(({ id }) => id === request.id, NO_TIME), patience(request) * 1000);
+    this.#held.push({ request, asked, made: new Moment(), timer });
+    if (this.#pinged === undefined || this.#pinged.torn) this.#ping();
+  }
+
+  /** Send what was held, as of when it was made; not what is older than its deadline. */
+  #sendHeld(link: Link): void {
+    for (const { request, asked, made, timer } of this.#held.splice(0)) {
+      clearTimeout(timer);
+      const age = made.passed / 1000;
+      if (age >= patience(request)) {
+        asked.lose(withheld(NO_TIME));
+        continue;
+      }
+      const timestamp = new Date(this.clock.now() - made.passed).toISOString();
+      const left = request.deadline === undefined ? {} : { deadline: request.deadline - age };
+      this.#transmit(link, { ...request, timestamp, ...left }, asked, made);
+    }
+  }
+
+  /** Give up held commands: nothing of them was sent. */
+  #withdraw(which: (request: Request) => boolean, why: string): void {
+    const gone = this.#held.filter(({ request }) => which(request));
+    this.#held = this.#held.filter((one) => !gone.includes(one));
+    for (const { asked, timer } of gone) {
+      clearTimeout(timer);
+      asked.lose(withheld(why, why === NO_TIME ? "deadline_exceeded" : "cancelled"));
+    }
   }
 
   // -- the connection -----------------------------------------------------------------------
@@ -236,7 +290,7 @@ export class Session {
     const reply = await new Promise<Reply>((resolve) => {
       const id = this.newId("hello");
       const request: Waiting["request"] = { type: "hello", id, body };
-      this.#waiting.set(id, { request, take: (told) => (resolve(told), true), lose: () => undefined, repeatable: true, cut: false, answered: false });
+      this.#waiting.set(id, { request, made: sent, take: (told) => (resolve(told), true), lose: () => undefined, repeatable: true, cut: false, answered: false });
       link.send(request);
     });
     if (link !== this.#link) return;
@@ -265,6 +319,8 @@ export class Session {
   async #repeat(link: Link, left: Waiting[]): Promise<void> {
     const again = (one: Waiting): void => {
       if (link !== this.#link && this.state === "open") return one.lose(new ConnectionLost("the connection was lost again", undefined, one.repeatable));
+      const { deadline = Infinity } = one.request;
+      if (acts(one.request) && one.made.passed > deadline * 1000) return one.lose(unanswered(one.request, deadline));
       if (link !== this.#link) return void this.#waiting.set(one.request.id, { ...one, cut: true }); // the next session judges it
       one.cut = one.answered = false;
       this.#waiting.set(one.request.id, one);
@@ -332,6 +388,7 @@ export class Session {
     if (this.state === "closed" || this.state === "refused") return;
     const stood = this.state === "open";
     this.problem = new ConnectionLost(why);
+    this.#loseHeld(why);
     for (const waiting of this.#waiting.values()) waiting.cut = true;
     for (const id of this.subscriptions.keys()) this.#lose(id, why); // asked for again, however late that is
     this.clock.reset();
@@ -351,9 +408,12 @@ export class Session {
     const request: Waiting["request"] = { type: "ping", id };
     this.#waiting.set(id, {
       request,
+      made: sent,
       take: (reply) => {
         this.#pinged = undefined;
         this.#measure(sent, reply);
+        if (this.clock.known) this.#sendHeld(link);
+        else if (this.#held.length > 0) this.#ping(); // it slept while this was on the way
         this.#backoff.reset(); // it holds: one that is cut as soon as it stands is not tried ever faster
         this.onchange?.();
         return true;
@@ -485,7 +545,15 @@ export class Session {
     waiting?.lose(new ConnectionLost(why, undefined, waiting.repeatable));
   }
 
+  #loseHeld(why: string): void {
+    for (const { asked, timer } of this.#held.splice(0)) {
+      clearTimeout(timer);
+      asked.lose(new ConnectionLost(why));
+    }
+  }
+
   #loseAll(why: string): void {
+    this.#loseHeld(why);
     const waiting = [...this.#waiting.values()];
     this.#waiting.clear();
     for (const one of waiting) one.lose(new ConnectionLost(why, undefined, one.repeatable));

@@ -161,6 +161,20 @@ def test_recordings_that_are_not_there_are_told(
     assert "there is no recording" in (lacking(ReplayConfig(tuple(files))) or "")
 
 
+@pytest.mark.parametrize("part", [0.0, 0.5, 0.99])
+async def test_a_file_that_is_cut_off_is_not_played(tmp_path: Path, part: float) -> None:
+    file = written(tmp_path, 30)
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * part)])
+    replay = backend("then", "then", use="replay", files=[str(file)])
+    async with serve(replay + key("admin", ADMIN), *rcp_backends()) as served:
+        (supervisor,) = served.server.supervisors
+        await asyncio.wait_for(supervisor.settled.wait(), BOUND)
+        told = supervisor.last_error or ""
+    assert "drive.alpha.mcap: the index at its end is damaged: the file is cut off" in told
+    assert "`mcap recover`" in told
+
+
 class TestADamagedPart:
     """The second of the three chunks of a recording: what is before and after it is played."""
 
@@ -177,6 +191,7 @@ class TestADamagedPart:
         async with _damaged(file) as (client, seen):
             told = await _paused_at_the_gap(client)
             assert await _values(seen, 1000) == list(range(1000))
+            assert "drive.alpha.mcap: the chunk at byte" in told
             assert (await control(client))["elapsed"] == pytest.approx(100.0)
             beyond = told.partition("seek to ")[2].partition(",")[0]
             await control(client, seek=beyond, paused=False)
@@ -198,6 +213,20 @@ class TestADamagedPart:
             await control(client, seek=0.0)
             await _state_of_backend(client, "ready")
 
+    async def test_a_seek_into_it_says_that_values_are_older(self, file: Path) -> None:
+        async with _damaged(file, paused=True) as (client, seen):
+            await control(client, seek=150.0)
+            told = await _state_of_backend(client, "degraded")
+            assert "values of 2027-01-15T08:02:30" in told
+            assert "the chunk at byte" in told
+            assert await _values(seen, 1) == [999]
+            await control(client, paused=False)
+
+            async def is_paused() -> bool:
+                return (await control(client))["state"] == "paused"
+
+            await eventually(is_paused, "it pauses there")
+
     async def test_steps_end_there(self, file: Path) -> None:
         async with _damaged(file, paused=True) as (client, seen):
             await control(client, step=10_000)
@@ -208,7 +237,7 @@ class TestADamagedPart:
 
     async def test_a_fixture_says_so(self, file: Path) -> None:
         async with replayed(file) as replay:
-            with pytest.raises(Exception, match="frame header"):
+            with pytest.raises(Exception, match=r"the chunk at byte \d+ is damaged"):
                 await replay.play_to()
             path = "/tenant/replay/sensor/speed"
             assert (await replay.client.request("read", path))["body"] == 999

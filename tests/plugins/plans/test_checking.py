@@ -72,7 +72,7 @@ async def test_everything_that_is_wrong_is_told_at_once_and_nothing_is_begun() -
         }
         assert near["typo"] == ["/tenant/alpha/param/limit"]
         assert near["reference"] == ["bound"]
-        assert near["code"] == ["device_rejected"]
+        assert near["code"][0] == "device_rejected"
         assert world.robot.writes == []
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import difflib
 from contextlib import suppress
 
 from rcp_client.client import Client
 from rcp_protocol.errors import RcpError, UnknownPath
+from rcp_protocol.similarity import nearest
 from rcp_protocol.timeouts import timeout
 
 __all__ = ["with_nearest"]
 
 _WAIT = 2.0  # s for the list of paths, which is no more than a help
-_MOST = 3
 _FEATURES = {  # resources that are there with a feature only
     "alarms": "triggers",
     "approvals": "approvals",
@@ -44,17 +43,7 @@ async def with_nearest(client: Client, error: RcpError) -> RcpError:
             found = await client.discover("/**", schemas=False)
         tenant = client.greeting.get("tenant")
         path = error.path if error.path.startswith("/tenant/") else f"/tenant/{tenant}{error.path}"
-        near = _near(path, [one.path for one in found])
+        near = nearest(path, [one.path for one in found])
         if near:
             error.remedy = f"Did you mean {' or '.join(near)}?"
     return error
-
-
-def _near(path: str, paths: list[str]) -> list[str]:
-    """Return paths beside this one with a similar name, else paths that hardly differ."""
-    parent, _, name = path.rpartition("/")
-    beside = {one.rpartition("/")[2]: one for one in paths if one.rpartition("/")[0] == parent}
-    names = difflib.get_close_matches(name, beside, n=_MOST)
-    return [beside[one] for one in names] or difflib.get_close_matches(
-        path, paths, n=_MOST, cutoff=0.9
-    )
