@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
 from kernel.world import World, world_of
-from rcp_kernel.sessions.command import Command, Record
+from rcp_kernel.sessions.command import Command, Record, command_id
 from rcp_requests.journal import CommandJournal
 
 pytestmark = pytest.mark.anyio
@@ -124,3 +125,9 @@ async def test_requests_that_follow_one_command_are_answered_under_their_own_ids
     finals = [await client.final(id_) for id_ in ids]
     assert [final["id"] for final in finals] == ids
     assert len({final["command"] for final in finals}) == 1
+
+
+def test_ids_of_the_same_time_are_near_each_other_in_the_store() -> None:
+    ids = [command_id() for _ in range(3000)]
+    assert len(set(ids)) == len(ids)
+    assert sum(later < earlier for earlier, later in pairwise(ids)) <= 3
