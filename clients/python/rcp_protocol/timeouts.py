@@ -13,7 +13,7 @@ if sys.version_info >= (3, 11, 3):
     from asyncio import timeout, timeout_at  # noqa: TID251 - what it is banned for is mended here
 else:
 
-    class _Timeout:
+    class _Timeout(asyncio.Timeout):
         """`asyncio.Timeout` as of Python 3.11.3.
 
         Before it (Debian 12 has 3.11.2), a limit that expires in a task that had been cancelled
@@ -21,33 +21,9 @@ else:
         handles the latter, to stop a robot again or to kill a process, would not run.
         """
 
-        def __init__(self, when: float | None) -> None:
-            self._when = when
-            self._loop = asyncio.get_running_loop()
-            self._timer: asyncio.Handle | None = None
-            self._expired = False
-
-        def reschedule(self, when: float | None) -> None:
-            """Expire at `when`, in the loop's time, or never."""
-            if self._timer is not None:
-                self._timer.cancel()
-            if when is None:
-                self._timer = None
-            elif when <= self._loop.time():
-                self._timer = self._loop.call_soon(self._expire)
-            else:
-                self._timer = self._loop.call_at(when, self._expire)
-
-        def _expire(self) -> None:
-            self._expired = True
-            self._task.cancel()
-
         async def __aenter__(self) -> Self:
-            task = asyncio.current_task()
-            if task is None:
-                raise RuntimeError("a time limit holds for a task")
-            self._task, self._before = task, task.cancelling()
-            self.reschedule(self._when)
+            await super().__aenter__()
+            self._before = _cancelling()
             return self
 
         async def __aexit__(
@@ -56,10 +32,15 @@ else:
             error: BaseException | None,
             trace: TracebackType | None,
         ) -> None:
-            self.reschedule(None)
-            ours = self._expired and self._task.uncancel() <= self._before
+            await super().__aexit__(kind, error, trace)
+            # Its own request to cancel is withdrawn now: there is no other one of within the block.
+            ours = self.expired() and _cancelling() <= self._before
             if ours and kind is asyncio.CancelledError:
                 raise TimeoutError from error
+
+    def _cancelling() -> int:
+        task = asyncio.current_task()
+        return 0 if task is None else task.cancelling()
 
     def timeout(delay: float | None) -> _Timeout:
         """Limit a block to `delay` seconds; None is no limit."""
