@@ -183,8 +183,10 @@ export class Client<T extends Catalogue = Untyped> {
     input?: Part<T["commands"], P, "input">,
     options: CommandOptions = {},
   ): Command<Part<T["commands"], P, "output">, Part<T["commands"], P, "feedback">> {
-    const command = new Command(path, async (one) => void (await this.cancel(one.id === undefined ? { path } : one.id)));
-    this.session.run({ type: "execute", path, body: input ?? null, ...this.#command(options) }, command);
+    const command = new Command(path, async (one) => {
+      if (!this.session.withdraw(id)) await this.cancel(one.id === undefined ? { path } : one.id);
+    });
+    const id = this.session.run({ type: "execute", path, body: input ?? null, ...this.#command(options) }, command);
     return command;
   }
 
@@ -193,9 +195,12 @@ export class Client<T extends Catalogue = Untyped> {
    * planner put out, lines of commands). A refusal has all faults in `details.faults`. Cancelling it stops its steps.
    */
   plan(plan: string | readonly Step[] | PlanBody, options: Omit<CommandOptions, "dryRun"> = {}): Plan {
-    const running = new Plan(PLANS, async (one) => void (await this.cancel(await one.accepted)));
+    let id = "";
+    const running = new Plan(PLANS, async (one) => {
+      if (!this.session.withdraw(id)) await this.cancel(await one.accepted);
+    });
     try {
-      this.session.run({ type: "execute", path: PLANS, body: planOf(plan), ...this.#command(options) }, running);
+      id = this.session.run({ type: "execute", path: PLANS, body: planOf(plan), ...this.#command(options) }, running);
     } catch (problem) {
       const { code, message, remedy } = problem as RcpError;
       running.take({ type: "execute", status: "rejected", error: { code, message, remedy, origin: "client" } });

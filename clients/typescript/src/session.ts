@@ -58,6 +58,7 @@ const SILENCE = 6000; // ms without any answer after which a connection is dead
 const OPENING = 10_000; // ms that a connection may take to stand, the greeting included
 const AGAIN = 1000; // ms until a hub that does not reach a robot yet is asked again
 const NO_TIME = "no round trip within its deadline, after this machine slept or its clock was set";
+const CANCELLED = "it was cancelled";
 const REFUSALS = new Set(["unauthenticated", "token_expired", "forbidden", "version_unsupported"]);
 
 /** Seconds that a held command has until it is too old. */
@@ -167,7 +168,7 @@ export class Session {
         this.#waiting.delete(id);
         reject(unanswered(request, seconds));
       }, seconds * 1000);
-      if (request.type === "cancel") this.#withdraw(({ path }) => path === request.path, "it was cancelled");
+      if (request.type === "cancel" && request.path !== undefined) this.#withdrawFrom(this.#whole(request.path));
       this.#send({ ...request, id }, {
         take: (reply) => {
           if (!FINAL.has(reply.status)) return false;
@@ -185,8 +186,8 @@ export class Session {
     });
   }
 
-  /** Send an execute whose replies go to `command`. */
-  run(request: Request, command: Command): void {
+  /** Send an execute whose replies go to `command`; returns the id of the request. */
+  run(request: Request, command: Command): string {
     const id = this.newId("x");
     this.#send({ ...request, id }, {
       take: (reply) => command.take(reply),
@@ -194,6 +195,12 @@ export class Session {
       cut: false,
       answered: false,
     });
+    return id;
+  }
+
+  /** Give up a command that is kept back, of which nothing was sent; false if there is none of this id. */
+  withdraw(id: string): boolean {
+    return this.#withdraw((request) => request.id === id, CANCELLED);
   }
 
   #send(request: Request & { id: string }, asked: Asked): void {
@@ -241,14 +248,25 @@ export class Session {
     }
   }
 
-  /** Give up held commands: nothing of them was sent. */
-  #withdraw(which: (request: Request) => boolean, why: string): void {
+  #withdrawFrom(whole: string): void {
+    this.#withdraw(({ path }) => path !== undefined && this.#whole(path) === whole, CANCELLED);
+  }
+
+  /** A path as the gateway completes it. */
+  #whole(path: string): string {
+    const tenant = this.hello?.tenant ?? undefined;
+    return tenant === undefined || /^\/(tenant|system)\//.test(path) ? path : `/tenant/${tenant}${path}`;
+  }
+
+  /** Give up held commands: nothing of them was sent. Returns whether there were any. */
+  #withdraw(which: (request: Held["request"]) => boolean, why: string): boolean {
     const gone = this.#held.filter(({ request }) => which(request));
     this.#held = this.#held.filter((one) => !gone.includes(one));
     for (const { asked, timer } of gone) {
       clearTimeout(timer);
       asked.lose(withheld(why, why === NO_TIME ? "deadline_exceeded" : "cancelled"));
     }
+    return gone.length > 0;
   }
 
   // -- the connection -----------------------------------------------------------------------

@@ -154,6 +154,35 @@ test("what a stop or a cancel overtakes is not sent after it", async () => {
   assert.deepEqual(commands().map(({ path }) => path), ["/service/hold"]);
 });
 
+test("a plan that is cancelled before it was sent is not sent", async () => {
+  way.freeze();
+  sleep();
+  const plan = client.plan([{ do: "execute", path: "/action/dock" }]);
+  await plan.cancel();
+  assert.equal((await refusal(plan.result)).code, "cancelled");
+  way.thaw();
+  await answered();
+  assert.deepEqual(sent.filter(({ type }) => type === "execute" || type === "cancel"), []);
+});
+
+test("a cancel overtakes what it is of, and nothing else that waits", async () => {
+  const running = client.execute("/action/dock", {});
+  const id = await running.accepted;
+  way.freeze();
+  sleep();
+  const both = client.writeAll({ [DRIVE]: STILL }).catch(() => undefined);
+  const next = client.execute("/action/dock", {});
+  const cancelled = client.cancel(id);
+  const wide = client.execute("/action/move_to", { position: { x: 1, y: 0 } });
+  const cancelling = client.cancel({ path: "/tenant/alpha/action/move_to" }).catch(() => undefined);
+  assert.equal((await refusal(wide.result)).code, "cancelled");
+  way.thaw();
+  await Promise.all([cancelled, both, cancelling]);
+  await next.accepted.catch(() => undefined);
+  assert.deepEqual(commands().map(({ path }) => path), ["/action/dock", undefined, "/action/dock"]);
+  await next.cancel().catch(() => undefined);
+});
+
 test("what waits when the connection is cut fails at once, and is not sent over the next one", async () => {
   way.freeze();
   sleep();
