@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -18,10 +19,27 @@ from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.values import Encoding, to_plain
 from rcp_kernel.wire import NO_BODY, error_body
 
-__all__ = ["TABLE", "as_row", "cut_off", "from_rows"]
+__all__ = ["TABLE", "as_row", "cut_off", "from_rows", "row_key"]
 
 log = structlog.get_logger("rcp.store")
 TABLE = "commands"
+_RANDOM = 8192  # bytes: as many keys as finished commands are kept
+_keys: list[str] = []
+"""Random keys of rows, each used once."""
+
+
+def row_key() -> str:
+    """Return the key of another row.
+
+    Keys come in ascending order: the store writes whole pages, and commands of the same time are on
+    few of them. They are random, as those of earlier runs may still be in the store, and are no ids of
+    commands, whose order would tell each client how many commands others send.
+    """
+    if not _keys:
+        random = os.urandom(_RANDOM)
+        found = (random[place : place + 8].hex() for place in range(0, _RANDOM, 8))
+        _keys.extend(sorted(found, reverse=True))
+    return _keys.pop()
 
 
 def as_row(command: Command) -> dict[str, Any]:
@@ -65,20 +83,20 @@ def _written(value: Any) -> Any:
     return to_plain(value)
 
 
-def from_rows(rows: Iterable[dict[str, Any]]) -> list[Command]:
+def from_rows(rows: Mapping[str, dict[str, Any]]) -> list[Command]:
     """Return the commands of earlier runs, oldest first."""
-    commands = [command for row in rows if (command := _read(row)) is not None]
+    commands = [found for key, row in rows.items() if (found := _read(key, row)) is not None]
     return sorted(commands, key=lambda command: command.created)
 
 
-def _read(row: dict[str, Any]) -> Command | None:
+def _read(key: str, row: dict[str, Any]) -> Command | None:
     """Return the command of a row; an unreadable one is skipped and logged."""
     try:
         steps = row.pop("history")
         unknown = (EVERYTHING,) if is_system(row["path"]) else ()  # of a gateway before this one
         row["touches"] = tuple(row.get("touches", unknown))
         row["continuation"] = msgspec.convert(row.get("continuation"), Continuation | None)
-        command = Command(**row)
+        command = Command(**row, row=key)
         for step in steps:
             step.setdefault("body", NO_BODY)
             command.history.append(Record(**step))

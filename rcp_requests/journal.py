@@ -21,7 +21,7 @@ from rcp_kernel.sessions.command import Command, CommandListener, Record
 from rcp_kernel.sessions.long_value import SCALARS, LongValue
 from rcp_kernel.values import Encoding, dump
 from rcp_kernel.wire import FINAL, NO_BODY, Request
-from rcp_requests.command_rows import TABLE, as_row, cut_off, from_rows
+from rcp_requests.command_rows import TABLE, as_row, cut_off, from_rows, row_key
 from rcp_requests.idempotency import committed
 from rcp_requests.replies import ReplyGate
 from rcp_store.store import Store
@@ -97,7 +97,7 @@ class CommandJournal:
         self._load()
 
     def _load(self) -> None:
-        for command in from_rows(self._store.load(TABLE).values()):
+        for command in from_rows(self._store.load(TABLE)):
             if not command.final and command.continuation is not None:
                 self._begin(command)
                 continue
@@ -169,15 +169,17 @@ class CommandJournal:
         except Exception:  # the command continues whether or not it can be stored
             log.exception("store_failed", command=command.id, path=command.path)
             return
-        self._store.put(TABLE, command.id, row)
+        if command.row is None:
+            command.row = row_key()
+        self._store.put(TABLE, command.row, row)
 
     async def committed(self) -> None:
         """Wait until the commands are stored as they are now."""
         await committed(self._store)
 
     def _forget(self, command: Command) -> None:
-        if self._store.keeps:
-            self._store.put(TABLE, command.id, None)
+        if command.row is not None:
+            self._store.put(TABLE, command.row, None)
 
     def tell_cut_off(self) -> None:
         """Report the interrupted commands to the listeners of all commands."""

@@ -29,8 +29,13 @@ class Owner(NamedTuple):
 class _Row(Struct, frozen=True):
     owner: Owner
     layout: Layout
-    tenant: str
-    """The tenant whose room it takes, also if it is a user's own."""
+    tenant: str | None = None
+    """The tenant whose room it takes, also if it is a user's own; None: kept by a gateway before this one."""
+
+    @property
+    def room(self) -> str:
+        """Whose limit it counts for."""
+        return self.tenant or self.owner.tenant or EVERYONE
 
 
 class _Removed(Struct, frozen=True):
@@ -118,17 +123,17 @@ class KeptLayouts:
             return
         if sum(one == owner for one, _ in self._found) >= of_one:
             raise QueueFull(f"there are already {of_one} layouts here", remedy="Remove one first.")
-        if sum(row.tenant == tenant for row in self._found.values()) >= most:
-            whose = "all" if tenant == EVERYONE else tenant
+        if sum(row.room == tenant for row in self._found.values()) >= most:
+            whose = "no single tenant" if tenant == EVERYONE else f"{tenant} and its users"
             raise QueueFull(
-                f"there are already {most} layouts of {whose} and its users",
+                f"there are already {most} layouts of {whose}",
                 remedy="Ask the administrator to raise `most` in [features.layouts].",
             )
 
     def put(self, owner: Owner, layout: Layout, tenant: str) -> Entry:
         """Keep a layout; return it as it is listed. A later version takes the room of the first."""
         earlier = self._found.get((owner, layout.name))
-        row = _Row(owner, layout, tenant if earlier is None else earlier.tenant)
+        row = _Row(owner, layout, tenant if earlier is None else earlier.room)
         self._found[owner, layout.name] = row
         self._store.put(_key(owner, layout.name), to_builtins(row))
         return _entry(layout)

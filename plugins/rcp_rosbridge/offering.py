@@ -141,7 +141,7 @@ class Offering:
         """Try again when more backends are open: the page came back before the gateway had all of them."""
         if not offer.waited:
             offer.waited = True
-            text = f"{offer.key[1]}: nothing here takes offers yet; it is offered when a backend that is still opening does"
+            text = f"{offer.key[1]}: nothing here takes offers yet, but not all backends are open: it is offered as soon as one takes it"
             self._context.status.warning(text, id_, f"offer {offer.key[1]}")
         self._context.client_api.loop.call_later(_OPENING, self._begin, offer, id_)
 

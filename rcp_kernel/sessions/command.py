@@ -36,7 +36,7 @@ __all__ = [
     "command_id",
 ]
 
-_RANDOM = 8192  # bytes: as many ids as finished commands are kept
+_RANDOM = 1024  # bytes
 _numbers: list[str] = []
 """Random numbers for ids, each used once."""
 _SHORT = 16_384  # bytes of a command that are kept as they are written
@@ -193,6 +193,8 @@ class Command(msgspec.Struct, eq=False, weakref=True):
     """The slot of its deadline."""
     continuation: Continuation | None = None
     """Of a command that goes on without this gateway."""
+    row: str | None = None
+    """The key of its row in the store; None as long as it has none."""
     _listed: _Listed | None = None
     _names: frozenset[str] | None = None
     """What is named once it has ended: nothing changes after that."""
@@ -294,12 +296,10 @@ CommandListener = Callable[[Command, Record], None]
 def command_id() -> str:
     """Return the id of another command, which nobody can guess.
 
-    The operating system takes 3 µs to give a random number: it is asked for many at once. They are
-    used in ascending order: the store writes whole pages, and commands of the same time are on few of
-    them. Whoever knows one id still has 2^54 numbers among which the next one may be.
+    Nor do ids tell in which order, or how many, others are given. The operating system takes 3 µs to
+    give a random number: it is asked for many at once.
     """
     if not _numbers:
         random = os.urandom(_RANDOM)
-        found = (random[place : place + 8].hex() for place in range(0, _RANDOM, 8))
-        _numbers.extend(sorted(found, reverse=True))
+        _numbers.extend(random[place : place + 8].hex() for place in range(0, _RANDOM, 8))
     return "cmd-" + _numbers.pop()

@@ -11,7 +11,7 @@ __all__ = ["Nearest", "closest", "nearest"]
 _ALIKE = 0.6  # least likeness of what is proposed: `lvl` and `level` are alike, `foo` and `robot` are not
 _EXTRA = 0.9  # likeness of two paths of which one has one segment more
 _LONGEST = 512  # characters compared of a path, which may come from anybody
-_SEGMENT = 64  # characters compared of a name, whose square the time is
+_SEGMENT = 64  # characters compared of a name: the time grows with their square
 
 
 class Nearest:

@@ -6,12 +6,14 @@ from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from kernel.world import World, world_of
+from kernel.world import World, kept_in, world_of
 from rcp_kernel.sessions.command import Command, Record, command_id
+from rcp_requests.command_rows import row_key
 from rcp_requests.journal import CommandJournal
 
 pytestmark = pytest.mark.anyio
@@ -127,7 +129,30 @@ async def test_requests_that_follow_one_command_are_answered_under_their_own_ids
     assert len({final["command"] for final in finals}) == 1
 
 
-def test_ids_of_the_same_time_are_near_each_other_in_the_store() -> None:
+def test_rows_of_the_same_time_are_near_each_other_in_the_store() -> None:
+    keys = [row_key() for _ in range(3000)]
+    assert len(set(keys)) == len(keys)
+    assert sum(later < earlier for earlier, later in pairwise(keys)) <= 3
+
+
+def test_ids_do_not_tell_how_many_commands_others_send() -> None:
     ids = [command_id() for _ in range(3000)]
     assert len(set(ids)) == len(ids)
-    assert sum(later < earlier for earlier, later in pairwise(ids)) <= 3
+    assert 1300 < sum(later < earlier for earlier, later in pairwise(ids)) < 1700
+
+
+async def test_a_command_keeps_its_row_over_a_restart_until_it_is_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rcp_requests.journal._KEPT", 2)
+    text, ids = kept_in(tmp_path / "store.db"), list[str]()
+    for _ in range(2):
+        async with world_of(text) as world:
+            world.robot.release.set()
+            client = world.client()
+            ids += [(await client.ask(**GO))["command"] for _ in range(2)]
+            journal = world.server.gateway.journal
+            assert [one.id for one in journal.every()] == ids[:-3:-1]
+            await journal.committed()
+    async with world_of(text) as world:
+        assert {one.id for one in world.server.gateway.journal.every()} == set(ids[-2:])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sqlite3
 from collections.abc import AsyncGenerator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 import rcp_layouts
@@ -235,6 +238,31 @@ async def test_layouts_outlive_a_restart(tmp_path: Path) -> None:
         assert (await own(alfred, "open"))["body"]["content"] == NOTE
         assert (await own(alfred, "open", tenant="alpha"))["body"]["version"] == 1
         assert (await own(second.client(ALSO), "open"))["error"]["code"] == "unknown_path"
+
+
+async def test_layouts_of_a_gateway_before_this_one_are_read(tmp_path: Path) -> None:
+    """Their rows do not tell in which tenant a user saved them."""
+    store = tmp_path / "store.db"
+    config = CONFIG + table("features.layouts", most=1) + table("store", path=str(store))
+    async with served(config) as first:
+        await own(first.client(ALPHA), "save", content=NOTE)
+        await shared(first.client(BETA), "save", content=OTHER)
+    with closing(sqlite3.connect(store)) as base, base:
+        found = base.execute("SELECT key, value FROM kept WHERE place LIKE 'layouts.%'").fetchall()
+        for key_, value in found:
+            row = msgspec.msgpack.decode(value)
+            assert row.pop("tenant")
+            base.execute(
+                "UPDATE kept SET value = ? WHERE key = ?", (msgspec.msgpack.encode(row), key_)
+            )
+    assert len(found) == 2
+    async with served(config) as second:
+        alfred, berta = second.client(ALPHA), second.client(BETA)
+        assert (await own(alfred, "open"))["body"]["content"] == NOTE
+        assert (await own(alfred, "save", content=OTHER, version=1))["status"] == "completed"
+        assert (await own(second.client(ALSO), "save", content=NOTE))["status"] == "completed"
+        full = await own(berta, "save", content=NOTE)  # what beta shares counts for beta
+        assert "1 layouts of beta" in full["error"]["message"]
 
 
 class TestLayouts(FeatureSuite):
