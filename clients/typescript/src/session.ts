@@ -57,6 +57,7 @@ const SETTLE = 3000; // ms after a resume until what has no answer counts as los
 const SILENCE = 6000; // ms without any answer after which a connection is dead
 const OPENING = 10_000; // ms that a connection may take to stand, the greeting included
 const AGAIN = 1000; // ms until a hub that does not reach a robot yet is asked again
+const PROMPT = 100; // ms of a round trip that tells the time: by half of a longer one, commands would seem too young
 const NO_TIME = "no round trip within its deadline, after this machine slept or its clock was set";
 const CANCELLED = "it was cancelled";
 const REFUSALS = new Set(["unauthenticated", "token_expired", "forbidden", "version_unsupported"]);
@@ -210,7 +211,7 @@ export class Session {
       return;
     }
     if (stops(request)) this.#withdraw(() => true, "a stop was made after it");
-    if (acts(request) && !this.clock.known) return this.#hold(request, asked);
+    if (acts(request) && (!this.clock.known || this.#held.length > 0)) return this.#hold(request, asked);
     // A stop has no time: it is never too old.
     const timed = (acts(request) || request.dry_run === true) && this.clock.known;
     const timestamp = timed ? { timestamp: new Date(this.clock.now()).toISOString() } : {};
@@ -415,7 +416,8 @@ export class Session {
     this.#to("waiting");
   }
 
-  #ping(): void {
+  /** Measure a round trip; after the `last` one commands are held no longer, however long it took. */
+  #ping(last = false): void {
     const link = this.#link;
     if (link === undefined || this.state !== "open") return;
     if (this.#pinged && Math.min(this.#pinged.passed, this.#heard.passed) > SILENCE) return link.close("the gateway does not answer any more");
@@ -430,8 +432,8 @@ export class Session {
       take: (reply) => {
         this.#pinged = undefined;
         this.#measure(sent, reply);
-        if (this.clock.known) this.#sendHeld(link);
-        else if (this.#held.length > 0) this.#ping(); // it slept while this was on the way
+        if (this.clock.known && (last || sent.passed <= PROMPT)) this.#sendHeld(link);
+        else if (this.#held.length > 0) this.#ping(this.clock.known); // it slept meanwhile, or this was on the way for long
         this.#backoff.reset(); // it holds: one that is cut as soon as it stands is not tried ever faster
         this.onchange?.();
         return true;
