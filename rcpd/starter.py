@@ -124,17 +124,21 @@ def write_files(found: dict[Path, bytes], *, replace: bool, user: str | None = N
             "--into, or replace them with --force: clients then need the new keys"
         )
     owner = _owner(user)
+    for path, data in found.items():
+        _write(path, data, owner, replace=replace)
+
+
+def _write(path: Path, data: bytes, owner: int | None, *, replace: bool) -> None:
     try:
-        for path, data in found.items():
-            made = [] if path.parent.exists() else [path.parent]
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if replace:
-                path.unlink(missing_ok=True)
-            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as out:
-                out.write(data)
-            if owner is not None:
-                for own in (*made, path):
-                    shutil.chown(own, owner)
+        made = [] if path.parent.exists() else [path.parent]
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if replace:
+            path.unlink(missing_ok=True)
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as out:
+            out.write(data)
+        if owner is not None:
+            for own in (*made, path):
+                shutil.chown(own, owner)
     except OSError as error:
         raise ConfigError(
             f"'{error.filename or path}' cannot be written: {error.strerror or error}. Choose "

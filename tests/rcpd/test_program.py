@@ -72,3 +72,11 @@ def test_a_command_needs_no_standard_output() -> None:
     done = run("-m", "rcp_client", "--url", "http://127.0.0.1:1", "estop", shell='"$@" >&-')
     assert done.returncode == 4, done.stderr
     assert b"cannot reach" in done.stderr
+
+
+def test_a_character_that_the_output_lacks_is_replaced(tmp_path: Path) -> None:
+    config = tmp_path / "rcp.toml"
+    config.write_text('name = "Łódź"\n', encoding="utf-8")
+    done = run("-m", "rcpd", "config", str(config), shell='env PYTHONIOENCODING=latin-1 "$@"')
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith('name = "?ód?"'.encode("latin-1"))

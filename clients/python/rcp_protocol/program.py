@@ -8,6 +8,8 @@ import signal
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
+from typing import TextIO
 
 __all__ = ["as_program", "interrupt_ends"]
 
@@ -33,6 +35,9 @@ def interrupt_ends() -> Generator[None]:
 def as_program(name: str) -> Generator[None]:
     """Run a command whose output may be closed, or cannot be written."""
     _open_closed()
+    output: TextIO = sys.stdout
+    if isinstance(output, TextIOWrapper) and output.errors == "strict":
+        output.reconfigure(errors="replace")  # of an encoding that lacks a character
     try:
         yield
     except OSError as error:
