@@ -267,9 +267,35 @@ def open_read_only(path: Path) -> sqlite3.Connection:
         base = open_for_inspection(path)
         base.execute("SELECT 1 FROM audit LIMIT 1")
     except FAULTS as error:
-        advice = "; run `rcpd store check`" if is_damage(error) else ""
-        raise ConfigError(f"the store '{path}' cannot be read: {error}{advice}") from None
+        raise ConfigError(_unreadable(path, error)) from None
     return base
+
+
+def _unreadable(path: Path, error: Exception) -> str:
+    """Tell a store that no gateway has served yet from one that cannot be read."""
+    if head_beside(path) in (None, (0, GENESIS)):
+        if _is_missing(path):
+            return (
+                f"the store '{path}' does not exist; a gateway creates it when it starts "
+                "(`rcpd serve`)"
+            )
+        if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_ERROR:  # no such table
+            return (
+                f"the store '{path}' has no audit log yet; a gateway adds it when it starts "
+                "(`rcpd serve`)"
+            )
+    advice = "; run `rcpd store check`" if is_damage(error) else ""
+    return f"the store '{path}' cannot be read: {error}{advice}"
+
+
+def _is_missing(path: Path) -> bool:
+    try:
+        path.stat()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        return False
+    return False
 
 
 def anchor_of(base: sqlite3.Connection) -> Head | None:

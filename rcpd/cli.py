@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
@@ -156,8 +157,8 @@ def _new(kind: str) -> click.Command:
         except StartupError as error:
             fail(str(error))
         click.echo(f"Wrote {made}. Next:")
-        click.echo(f"  pip install -e {made}[test]")
-        click.echo(f"  pytest {made}")
+        click.echo(f"  pip install -e {shlex.quote(f'{made}[test]')}")  # zsh expands brackets
+        click.echo(f"  pytest {shlex.quote(str(made))}")
 
     return write
 

@@ -6,8 +6,8 @@ import asyncio
 import os
 import signal
 import sys
-from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from functools import partial
 from typing import NoReturn
 
@@ -18,6 +18,7 @@ from rcp_gateway.server import Prepared, Server, prepare, running
 from rcp_kernel.config.file import GatewayConfig
 from rcp_kernel.errors import StartupError
 from rcp_kernel.features.configuration import SERVED_CONFIGURATION
+from rcp_protocol.program import interrupt_ends
 from rcpd.configuration_file import ConfigurationFile, run_again
 from rcpd.demo import Demo
 from rcpd.diagnosis import explained
@@ -47,7 +48,7 @@ def run(
     take_short_turns()
     recent = configure(config.log.level, config.log.format)
     try:
-        with _interrupt_ends():
+        with interrupt_ends():  # a plugin that is imported could take Ctrl-C for its own fault
             prepared = prepare(config, source)
     except StartupError as error:
         fail(str(error) if file is None else explained(error, file.path))
@@ -66,16 +67,6 @@ def run(
                 raise
             fail(str(found))
     sys.exit(code)
-
-
-@contextmanager
-def _interrupt_ends() -> Generator[None]:
-    """Let Ctrl-C end the process at once: a plugin that is imported could take it for its own fault."""
-    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _reason(group: BaseExceptionGroup[BaseException]) -> StartupError | None:

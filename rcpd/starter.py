@@ -123,19 +123,41 @@ def write_files(found: dict[Path, bytes], *, replace: bool, user: str | None = N
             f"already there, nothing was written: {', '.join(there)}. Choose another folder with "
             "--into, or replace them with --force: clients then need the new keys"
         )
+    owner = _owner(user)
+    for path, data in found.items():
+        _write(path, data, owner, replace=replace)
+
+
+def _write(path: Path, data: bytes, owner: int | None, *, replace: bool) -> None:
     try:
-        for path, data in found.items():
-            made = [] if path.parent.exists() else [path.parent]
-            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-            if replace:
-                path.unlink(missing_ok=True)
-            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as out:
-                out.write(data)
-            if user is not None and os.geteuid() == 0 and user != getpass.getuser():
-                for own in (*made, path):
-                    shutil.chown(own, user)
-    except (OSError, LookupError) as error:
-        raise ConfigError(f"cannot be written: {error}") from None
+        made = [] if path.parent.exists() else [path.parent]
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if replace:
+            path.unlink(missing_ok=True)
+        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as out:
+            out.write(data)
+        if owner is not None:
+            for own in (*made, path):
+                shutil.chown(own, owner)
+    except OSError as error:
+        raise ConfigError(
+            f"'{error.filename or path}' cannot be written: {error.strerror or error}. Choose "
+            "another folder with --into"
+        ) from None
+
+
+def _owner(user: str | None) -> int | None:
+    """Return who gets what root writes; None if it stays with whoever writes it."""
+    if user is None or os.geteuid() != 0 or user == getpass.getuser():
+        return None
+    import pwd  # not everywhere
+
+    try:
+        return pwd.getpwnam(user).pw_uid
+    except KeyError:
+        raise ConfigError(
+            f"there is no user '{user}': create it first, or choose another one with --user"
+        ) from None
 
 
 def _unit(answers: Answers) -> str:

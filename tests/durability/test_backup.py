@@ -16,7 +16,8 @@ from click.testing import CliRunner
 from durability.process import ADMIN, BOUND, RCPD
 from kernel.world import World, kept_in, settled, world_of
 from rcp_store.chain import parse_head
-from rcp_store.file import head_beside, open_read_only
+from rcp_store.file import beside, head_beside, open_read_only
+from rcp_store.tokens import TokenFile
 from rcpd.cli import main
 from rcpd.examination import examined
 
@@ -190,3 +191,21 @@ async def test_check_looks_at_every_page_and_record(tmp_path: Path) -> None:
     with closing(sqlite3.connect(path)) as base, base:
         base.execute("UPDATE audit SET record = record || ' ' WHERE seq = 2")
     assert "damaged" in store("check", "--store", path, code=1)
+
+
+@pytest.mark.parametrize("command", ["store check", "store backup copy", "audit verify"])
+def test_a_store_that_no_gateway_has_served_yet_is_told(tmp_path: Path, command: str) -> None:
+    path = tmp_path / "store.db"
+    told = [*command.split(), "--store", str(path)]
+
+    def refusal() -> str:
+        done = CliRunner().invoke(main, told)
+        assert done.exit_code == 1
+        return done.output
+
+    assert f"'{path}' does not exist; a gateway creates it" in refusal()
+    with closing(TokenFile(path)) as table:
+        table.create("arm", (("*", ("operator",)),), None)
+    assert f"'{path}' has no audit log yet; a gateway adds it" in refusal()
+    beside(path).write_text(f"7:{'ab' * 32}")  # there has been one
+    assert "damaged" in refusal() or "run `rcpd store check`" in refusal()

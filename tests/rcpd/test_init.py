@@ -93,6 +93,22 @@ def test_a_name_that_does_not_fit_is_told(tmp_path: Path) -> None:
     assert files(tmp_path) == []
 
 
+def test_a_folder_that_cannot_be_written_is_named_with_what_to_do(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    output = init(file / "rcp", code=1)
+    assert output == (
+        f"rcpd: '{file}/rcp' cannot be written: Not a directory. "
+        "Choose another folder with --into\n"
+    )
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_nothing_is_written_for_a_user_who_does_not_exist(tmp_path: Path) -> None:
+    assert "there is no user 'nobody-at-all'" in init(tmp_path, "--user", "nobody-at-all", code=1)
+    assert files(tmp_path) == []
+
+
 def test_on_a_terminal_it_asks_for_what_is_not_given(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     command = [str(Path(sys.executable).with_name("rcpd")), "init", "--tenant", "yard"]

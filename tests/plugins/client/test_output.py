@@ -11,6 +11,7 @@ import pytest
 from rcp_client.console.fleet import fleet
 from rcp_client.console.outline import outline
 from rcp_client.console.output import Output, clean, compact, exit_code, pretty
+from rcp_client.console.show import status
 from rcp_client.errors import ConnectionLost, unknown_outcome
 from rcp_kernel.errors import Cancelled, DeviceTimeout, Forbidden, OutOfRange
 
@@ -25,6 +26,15 @@ def test_long_values_are_laid_out_and_bytes_counted() -> None:
     assert json.loads(text)["data"] == "<1000 bytes>"
     assert json.loads(text)["ranges"] == list(range(40))
     assert all(len(line) <= 90 for line in text.splitlines())
+
+
+def test_a_warning_of_the_status_tells_its_facts(capsys: pytest.CaptureFixture[str]) -> None:
+    facts = {"backend": "head", "error": "no\x1b feedback"}
+    record = {"timestamp": "T", "level": "warning", "message": "halt_failed", "facts": facts}
+    status(Output("table"), {"state": "ok", "warnings": [record, {**record, "facts": None}]})
+    *_, first, second = capsys.readouterr().out.splitlines()
+    assert first == "T warning: halt_failed backend=head error=no� feedback"
+    assert second == "T warning: halt_failed"
 
 
 def test_long_texts_and_lists_are_cut() -> None:

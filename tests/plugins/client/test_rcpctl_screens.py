@@ -42,7 +42,7 @@ def test_an_expression_chooses_a_number_that_a_script_can_use(run: Run) -> None:
     assert jsonpath.findall("$.body.percentage", document(run("read", "/sensor/battery")))
 
 
-@pytest.mark.parametrize("wanted", ["xml", "jsonpath=$[", "jsonpath"])
+@pytest.mark.parametrize("wanted", ["xml", "jsonpath=$[", "jsonpath={.path", "jsonpath"])
 def test_a_format_that_is_none_is_a_fault_of_the_command_line(run: Run, wanted: str) -> None:
     done = run("robots", "-o", wanted)
     assert done.returncode == 2

@@ -59,7 +59,11 @@ def _jsonpath(text: str) -> Writer:
     with needs("-o jsonpath"):
         import jsonpath
 
-    expression = text.strip().removeprefix("{").removesuffix("}")  # as kubectl has it
+    expression = text.strip()
+    if expression.startswith("{"):  # as kubectl has it
+        if not expression.endswith("}"):
+            raise click.UsageError(f"-o jsonpath={text}: a }} is missing at its end")
+        expression = expression[1:-1]
     if not expression.startswith("$"):
         expression = f"${expression}" if expression.startswith((".", "[")) else f"$.{expression}"
     try:

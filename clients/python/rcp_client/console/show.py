@@ -151,8 +151,13 @@ def status(out: Output, report: dict[str, Any]) -> None:
         rows = [[backend.get(name) for name in names] for backend in backends]
         out.table([name.upper() for name in names], rows)
     for record in (report.get("warnings") or [])[-5:]:
-        text = f"{record.get('timestamp')} {record.get('level')}: {record.get('message')}"
-        out.line(out.dim(clean(text)))
+        out.line(out.dim(clean(f"{record.get('timestamp')} {logged(record)}")))
+
+
+def logged(record: dict[str, Any]) -> str:
+    """Return what a record of the log says, without its time."""
+    facts = "".join(f" {name}={fact}" for name, fact in (record.get("facts") or {}).items())
+    return f"{record.get('level')}: {record.get('message')}{facts}"
 
 
 def commands(out: Output, listed: list[dict[str, Any]]) -> None:

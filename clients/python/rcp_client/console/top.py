@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Any
 from rcp_client.client import Client
 from rcp_client.console.extra import needs
 from rcp_client.console.output import Output, clean
-from rcp_client.console.show import latched_line, robot_charge, robot_controller, robot_state
+from rcp_client.console.show import (
+    latched_line,
+    logged,
+    robot_charge,
+    robot_controller,
+    robot_state,
+)
 from rcp_protocol.errors import RcpError
 
 if TYPE_CHECKING:
@@ -104,7 +110,9 @@ class _Screen:
         warnings = (self._status.get("warnings") or [])[-_WARNINGS:]
         parts += [
             Text(
-                clean(f"{one.get('timestamp', '')[11:19]} {one.get('level')}: {one.get('message')}")
+                clean(f"{one.get('timestamp', '')[11:19]} {logged(one)}"),
+                no_wrap=True,
+                overflow="ellipsis",
             )
             for one in warnings
         ]
