@@ -21,6 +21,7 @@ from rcp_links.channel import Channel, Connect
 from rcp_links.messages import Messages
 from rcp_links.requests import Request, Requests
 from rcp_links.timing import LinkTiming
+from rcp_protocol.cancellation import raise_if_cancelled
 from rcp_protocol.errors import AdapterUnavailable, DeviceTimeout, NotReady
 from rcp_protocol.timeouts import timeout
 
@@ -146,9 +147,7 @@ class RequestLink(Generic[M]):
         try:
             return await self._connection(first)
         except (Exception, asyncio.CancelledError) as error:
-            task = asyncio.current_task()
-            if isinstance(error, asyncio.CancelledError) and task is not None and task.cancelling():
-                raise  # not one that a function of the author has raised
+            raise_if_cancelled(error)  # a function of the author may have raised CancelledError
             log.exception("link failed", robot=self._robot)
             return f"fault of the backend: {error!r}"
 

@@ -53,6 +53,7 @@ from rcp_kernel.spi import (
     caller,
 )
 from rcp_kernel.wire import VERSION
+from rcp_protocol.cancellation import raise_if_cancelled
 from rcp_protocol.trace import Trace, current_trace
 
 __all__ = ["RemoteGateway", "followed"]
@@ -159,8 +160,9 @@ class RemoteGateway:
         while True:
             try:
                 await self._follow()
-            except ExceptionGroup:  # a gateway said what nobody expects; its stops must go on
+            except ExceptionGroup as error:  # it said what nobody expects; its stops must go on
                 log.exception("fleet_gateway_not_followed", gateway=self.name)
+                raise_if_cancelled(error)
                 await asyncio.sleep(_LONGEST_PAUSE)
             else:
                 return

@@ -285,7 +285,7 @@ class Ftp:
             async with asyncio.TaskGroup() as group:
                 for _ in range(_AT_ONCE):
                     group.create_task(work(pieces))
-        except* RcpError as failed:
+        except ExceptionGroup as failed:  # before Python 3.11.4, `except*` wraps what it raises
             raise failed.exceptions[0] from None
 
 
