@@ -21,8 +21,8 @@ from rcp_links.channel import Channel, Connect
 from rcp_links.messages import Messages
 from rcp_links.requests import Request, Requests
 from rcp_links.timing import LinkTiming
-from rcp_protocol.cancellation import raise_if_cancelled
 from rcp_protocol.errors import AdapterUnavailable, DeviceTimeout, NotReady
+from rcp_protocol.task_groups import TaskGroup
 from rcp_protocol.timeouts import timeout
 
 __all__ = ["LinkHost", "RequestLink", "request_link"]
@@ -147,7 +147,9 @@ class RequestLink(Generic[M]):
         try:
             return await self._connection(first)
         except (Exception, asyncio.CancelledError) as error:
-            raise_if_cancelled(error)  # a function of the author may have raised CancelledError
+            task = asyncio.current_task()
+            if isinstance(error, asyncio.CancelledError) and task is not None and task.cancelling():
+                raise  # not one that a function of the author has raised
             log.exception("link failed", robot=self._robot)
             return f"fault of the backend: {error!r}"
 
@@ -162,7 +164,7 @@ class RequestLink(Generic[M]):
                 return f"no connection within {silence:g} s"
             except OSError as error:
                 return f"no connection: {error}"
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 probing = tasks.create_task(self._probe(channel))
                 try:
                     return await self._receive(channel, first)

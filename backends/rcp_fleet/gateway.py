@@ -53,7 +53,7 @@ from rcp_kernel.spi import (
     caller,
 )
 from rcp_kernel.wire import VERSION
-from rcp_protocol.cancellation import raise_if_cancelled
+from rcp_protocol.task_groups import TaskGroup
 from rcp_protocol.trace import Trace, current_trace
 
 __all__ = ["RemoteGateway", "followed"]
@@ -160,15 +160,14 @@ class RemoteGateway:
         while True:
             try:
                 await self._follow()
-            except ExceptionGroup as error:  # it said what nobody expects; its stops must go on
+            except ExceptionGroup:  # a gateway said what nobody expects; its stops must go on
                 log.exception("fleet_gateway_not_followed", gateway=self.name)
-                raise_if_cancelled(error)
                 await asyncio.sleep(_LONGEST_PAUSE)
             else:
                 return
 
     async def _follow(self) -> None:
-        async with asyncio.TaskGroup() as group:
+        async with TaskGroup() as group:
             group.create_task(self._keep(TREE, self._follow_tree))
             group.create_task(self._keep(STATUS, self._ask_version))
             group.create_task(self._keep(ROBOTS, self._follow_facts))
