@@ -43,6 +43,7 @@ from rcp_kernel.spi import (
 from rcp_kernel.tree.entry import Availability, Entry, RobotUnit
 from rcp_kernel.tree.latches import Latch, Latches
 from rcp_kernel.tree.registry import Registry
+from rcp_protocol.timeouts import timeout
 from rcp_requests.commands import Commands
 from rcp_requests.journal import CommandJournal
 from rcp_streams.hub import Hub
@@ -260,7 +261,8 @@ class BackendSupervisor(BackendStatus):
             if time.monotonic() - started > _LAST_RETRY:
                 wait = _FIRST_RETRY
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._closing.wait(), wait)
+                async with timeout(wait):
+                    await self._closing.wait()
             wait = min(wait * 2, _LAST_RETRY)
         self._enter("closed", None)
 

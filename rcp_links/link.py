@@ -22,6 +22,7 @@ from rcp_links.messages import Messages
 from rcp_links.requests import Request, Requests
 from rcp_links.timing import LinkTiming
 from rcp_protocol.errors import AdapterUnavailable, DeviceTimeout, NotReady
+from rcp_protocol.task_groups import TaskGroup
 from rcp_protocol.timeouts import timeout
 
 __all__ = ["LinkHost", "RequestLink", "request_link"]
@@ -163,7 +164,7 @@ class RequestLink(Generic[M]):
                 return f"no connection within {silence:g} s"
             except OSError as error:
                 return f"no connection: {error}"
-            async with asyncio.TaskGroup() as tasks:
+            async with TaskGroup() as tasks:
                 probing = tasks.create_task(self._probe(channel))
                 try:
                     return await self._receive(channel, first)

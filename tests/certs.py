@@ -63,6 +63,7 @@ class Authority:
         days: tuple[float, float] = (-2, 2),
     ) -> x509.CertificateBuilder:
         begin, end = (datetime.now(UTC) + day * _DAY for day in days)
+        signer = self.private.public_key()
         return (
             x509.CertificateBuilder()
             .subject_name(subject)
@@ -71,6 +72,11 @@ class Authority:
             .serial_number(x509.random_serial_number())
             .not_valid_before(begin)
             .not_valid_after(end)
+            # Python 3.13 trusts no certificate of a CA without these.
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(key), critical=False)
+            .add_extension(
+                x509.AuthorityKeyIdentifier.from_issuer_public_key(signer), critical=False
+            )
         )
 
     def sign(

@@ -53,6 +53,7 @@ from rcp_kernel.spi import (
     caller,
 )
 from rcp_kernel.wire import VERSION
+from rcp_protocol.task_groups import TaskGroup
 from rcp_protocol.trace import Trace, current_trace
 
 __all__ = ["RemoteGateway", "followed"]
@@ -166,7 +167,7 @@ class RemoteGateway:
                 return
 
     async def _follow(self) -> None:
-        async with asyncio.TaskGroup() as group:
+        async with TaskGroup() as group:
             group.create_task(self._keep(TREE, self._follow_tree))
             group.create_task(self._keep(STATUS, self._ask_version))
             group.create_task(self._keep(ROBOTS, self._follow_facts))

@@ -20,6 +20,7 @@ from rcp_mavlink.frames import Frame
 from rcp_mavlink.gaps import Gaps
 from rcp_mavlink.hub import Hub
 from rcp_mavlink.vehicle import Vehicle
+from rcp_protocol.task_groups import TaskGroup
 from rcp_protocol.timeouts import timeout
 
 __all__ = ["PIECE", "Ftp", "Op", "Reply"]
@@ -282,10 +283,10 @@ class Ftp:
 
         pieces = iter(range(0, len(data), PIECE))
         try:
-            async with asyncio.TaskGroup() as group:
+            async with TaskGroup() as group:
                 for _ in range(_AT_ONCE):
                     group.create_task(work(pieces))
-        except* RcpError as failed:
+        except ExceptionGroup as failed:  # before Python 3.11.4, `except*` wraps what it raises
             raise failed.exceptions[0] from None
 
 

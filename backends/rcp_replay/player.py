@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import structlog
 
+from rcp_protocol.timeouts import timeout
 from rcp_recordings.reading import Gap, Record, Recording, Track, records
 
 __all__ = ["Player"]
@@ -157,7 +158,8 @@ class Player:
                 await asyncio.sleep(0)
                 continue
             try:
-                await asyncio.wait_for(self._changed.wait(), wait)
+                async with timeout(wait):
+                    await self._changed.wait()
             except TimeoutError:
                 continue
 

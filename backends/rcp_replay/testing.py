@@ -5,7 +5,6 @@ Nothing is waited for: the test moves the recording's time. Needs pytest, as the
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 from rcp_gateway.testing import ADMIN, MemoryClient, Served, serve
 from rcp_kernel.clock import parse_time
 from rcp_kernel.errors import NotReady
+from rcp_protocol.timeouts import timeout
 from rcp_replay import rcp_backends
 from rcp_replay.backend import ReplayBackend
 
@@ -61,7 +61,8 @@ async def replayed(
     )
     async with serve(config, *rcp_backends()) as served:
         (supervisor,) = served.server.supervisors
-        await asyncio.wait_for(supervisor.settled.wait(), _BOUND)
+        async with timeout(_BOUND):
+            await supervisor.settled.wait()
         if not served.lives:
             raise NotReady(supervisor.last_error or "the replay has not opened")
         backend = getattr(served.life.backend, "inner", served.life.backend)

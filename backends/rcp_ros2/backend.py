@@ -12,6 +12,7 @@ from typing import Any
 
 from rcp_kernel.errors import AdapterUnavailable, InvalidValue
 from rcp_kernel.spi import BaseBackend, Host, MotionState, Progress, Publication, Watchdog, unfenced
+from rcp_protocol.timeouts import timeout
 from rcp_ros2.binding import Binding, Shared
 from rcp_ros2.catalog import Catalog
 from rcp_ros2.config import Ros2Config
@@ -188,7 +189,8 @@ async def _settle(catalog: Catalog, limit: float) -> None:
     """
     if limit > 0:
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(catalog.complete.wait(), limit)
+            async with timeout(limit):
+                await catalog.complete.wait()
 
 
 def _poll(shared: Shared) -> None:

@@ -19,6 +19,7 @@ import structlog
 
 from rcp_kernel.errors import AdapterUnavailable, ConfigError, DeviceTimeout, NotReady, StartupError
 from rcp_kernel.spi import Host
+from rcp_protocol.timeouts import timeout
 from rcp_ros2.config import Ros2Config
 from rcp_ros2.middleware import check_middleware
 from rcp_ros2.shared_memory import remove_half_made
@@ -151,7 +152,8 @@ class Ros:
             self._executor.create_task(self._stop.set_result, None)
             self._executor.wake()
         try:
-            await asyncio.wait_for(self.ended.wait(), _STOP)
+            async with timeout(_STOP):
+                await self.ended.wait()
         except TimeoutError:
             log.error("ros_thread_stuck", node=self.config.node)
             return

@@ -20,6 +20,7 @@ from rcp_kernel.values import Encoding
 from rcp_kernel.wire import Request
 from rcp_mavlink.forwarding import asks_only
 from rcp_mavlink.frames import Frame, rebuilt
+from rcp_protocol.task_groups import TaskGroup
 from rcp_protocol.timeouts import timeout
 
 __all__ = ["Pilot"]
@@ -93,7 +94,7 @@ class Pilot:
 
     async def run(self) -> None:
         """Pass frames on, and give control back when there are no more commands, until cancelled."""
-        async with asyncio.TaskGroup() as group:
+        async with TaskGroup() as group:
             group.create_task(self._pass_stops())
             group.create_task(self._pass_all())
 

@@ -303,6 +303,29 @@ async def test_a_fault_of_the_author_is_told_and_the_link_returns(
             await asking
 
 
+async def test_a_fault_of_the_author_at_the_end_does_not_keep_the_link(
+    device: Device, gateway: Gateway
+) -> None:
+    faulty, fault = False, asyncio.Event()
+
+    def probe(number: int) -> Message:
+        if faulty:
+            fault.set()
+            raise LookupError(number)
+        return {"id": number, "do": "probe"}
+
+    messages = Messages(probe, lambda message: message.get("id"), lambda _: None)
+    connect = partial(json_lines, "127.0.0.1", device.port)
+    timing = LinkTiming(silence=0.3, first_pause=0.01, longest_pause=0.04)
+    async with asyncio.timeout(BOUND * 4):
+        async with request_link(connect, messages, gateway, robot="r1", timing=timing):
+            await gateway.next("r1: restored", "r1: up")
+            faulty = True
+            await fault.wait()
+    told = [gateway.told.get_nowait() for _ in range(gateway.told.qsize())]
+    assert all("fault of the backend" in one for one in told)  # it was not made again
+
+
 @pytest.mark.parametrize("error", [KeyError, ValueError, asyncio.CancelledError])
 async def test_a_fault_in_an_effect_costs_neither_the_answer_nor_the_link(
     device: Device, gateway: Gateway, error: type[BaseException]

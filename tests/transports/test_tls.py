@@ -20,7 +20,7 @@ from rcp_asgi.config import TlsConfig
 from rcp_asgi.tls import Tls
 from rcp_gateway.log import configure
 from rcp_kernel.errors import ConfigError
-from transports.raw import TEXT, connected, frame, handshake
+from transports.raw import TEXT, Raw, connected, frame, handshake
 from transports.robot import BOUND, KEY, Site, site, until
 
 pytestmark = pytest.mark.anyio
@@ -193,6 +193,33 @@ async def test_who_is_still_in_the_handshake_goes_with_the_gateway(ca: Authority
         for raw in silent:
             await raw.ended()
     await until(lambda: not asyncio.all_tasks() - before)
+
+
+async def test_who_does_not_take_leave_goes_with_the_gateway(ca: Authority) -> None:
+    """The gateway has closed the connection, and then once more since it ends itself."""
+    into, out = ssl.MemoryBIO(), ssl.MemoryBIO()
+    peer = trusting(ca).wrap_bio(into, out, server_hostname="localhost")
+    asgi = "grace = 0.05\n" + tls(ca.server())
+
+    async def told(raw: Raw, step: Callable[[], Any]) -> Any:
+        while True:
+            try:
+                return step()
+            except ssl.SSLWantReadError:
+                raw.send(out.read())
+                into.write(await raw.reader.read(65_536))
+            finally:
+                raw.send(out.read())
+
+    async with AsyncExitStack() as stack, asyncio.timeout(BOUND):
+        async with site(asgi=asgi) as gateway:
+            raw = await stack.enter_async_context(connected(gateway))
+            await told(raw, peer.do_handshake)
+            request = b"GET /rcp HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+            await told(raw, lambda: peer.write(request))
+            while await told(raw, lambda: peer.read(65_536)):
+                pass  # to the end that the gateway tells; it is not answered
+        await raw.ended()
 
 
 async def test_a_websocket_that_breaks_the_rules_is_failed_over_tls_too(ca: Authority) -> None:

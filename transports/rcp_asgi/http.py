@@ -126,7 +126,13 @@ class HttpProtocol(HttpToolsProtocol):
         if self._in_body and not self._deaf and (self.pipeline or self.flow.read_paused):
             self._watch(self._settings.config.body_timeout)  # the gateway itself has paused reading
             return
-        self.transport.close()
+        if not self.transport.is_closing():
+            self.transport.close()
+
+    def shutdown(self) -> None:
+        """Close when the response is complete."""
+        if not self.transport.is_closing():  # asyncio can abort no TLS that was closed twice
+            super().shutdown()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the timer."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import AsyncGenerator, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, nullcontext, suppress
 from pathlib import Path
@@ -18,6 +17,7 @@ from rcp_gateway.testing._suite import Suite, eventually
 from rcp_kernel.model import BRANCHES, MOVING, Kind, Operation, Resource, full_path
 from rcp_kernel.spi import Backend, BackendKind
 from rcp_kernel.values import to_plain, value_type
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["BackendTests", "Goal", "Robot", "kind_of_resource", "offers"]
 
@@ -221,7 +221,8 @@ class BackendTests(Suite):
         ) as served:
             self.prompt = served.supervisor.settled.is_set()
             with suppress(TimeoutError):  # late on a busy machine
-                await asyncio.wait_for(served.supervisor.settled.wait(), BOUND)
+                async with timeout(BOUND):
+                    await served.supervisor.settled.wait()
             assert served.supervisor.name == self.kind.name
             assert served.lives, (
                 f"it did not open: {served.supervisor.state}, {served.supervisor.detail}"

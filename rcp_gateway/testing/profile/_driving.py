@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import math
 from contextlib import suppress
@@ -13,6 +12,7 @@ from rcp_gateway.testing.backend._base import Robot
 from rcp_gateway.testing.profile._rig import Body, ProfileRig, needs
 from rcp_kernel.errors import RcpError
 from rcp_kernel.values import value_type
+from rcp_protocol.timeouts import timeout
 
 __all__ = ["DriveTests", "MobileTests"]
 
@@ -262,10 +262,8 @@ class MobileTests(DriveTests):
         name = self.full("action/move_to")
         input_type = value_type(self.running.resources[name].input)
         with suppress(RcpError):
-            result = await asyncio.wait_for(
-                self.backend.execute(name, input_type.convert(goal), _ignore),
-                self.complete_within,
-            )
+            async with timeout(self.complete_within):
+                result = await self.backend.execute(name, input_type.convert(goal), _ignore)
             raise AssertionError(f"the backend took a goal in a frame that there is not: {result}")
         assert math.hypot(*(await self.body()).ahead_of(start)) <= self.near
 

@@ -139,6 +139,7 @@ async def test_over_the_gateway_bounds_and_rights_are_kept(tmp_path: Path) -> No
             assert refused["error"]["code"] == "forbidden", refused
 
 
+@pytest.mark.filterwarnings("ignore:datetime.datetime.utcnow:DeprecationWarning")  # of canopen
 async def test_a_local_node_of_canopen_is_known_by_the_eds_that_canopen_writes(
     tmp_path: Path,
 ) -> None:
@@ -159,6 +160,7 @@ async def test_a_local_node_of_canopen_is_known_by_the_eds_that_canopen_writes(
                 await rig.host.until(lambda: rig.host.events("param/io/homing_method") == [0])
 
 
+@pytest.mark.filterwarnings("ignore:datetime.datetime.utcnow:DeprecationWarning")  # of canopen
 async def test_what_moves_a_drive_is_shown_and_cannot_be_written(tmp_path: Path) -> None:
     import canopen
 

@@ -126,6 +126,21 @@ async def test_what_is_damaged_on_board_is_not_told_as_written() -> None:
         assert reply["error"]["code"] == "device_rejected"
 
 
+@pytest.mark.parametrize(
+    ("code", "error"), [(9, "device_rejected"), (7, "not_implemented"), (10, "invalid_value")]
+)
+async def test_a_piece_that_is_refused_on_board_is_told_as_what_it_is(
+    code: int, error: str
+) -> None:
+    async with serving() as (found, server):
+        handle = server.answer
+        server.answer = lambda op, *rest: code if op == 7 else handle(op, *rest)  # type: ignore[method-assign]
+        body = {"path": "/new", "data": base64.b64encode(BIG[:3000]).decode()}
+        reply = await found.do("service/ftp/write", body)
+        assert reply["error"]["code"] == error, reply
+        assert server.session is None
+
+
 async def test_a_vehicle_that_counts_no_sums_takes_files_all_the_same() -> None:
     async with serving() as (found, server):
         server.sums = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,10 @@ from backends.replay.recorded import written
 from configuration import backend, key
 from hurry import Hurried
 from rcp_gateway.testing import MemoryClient, eventually, serve
+from rcp_recordings.reading import open_recordings
 from rcp_replay import rcp_backends
 from rcp_replay.config import ReplayConfig, lacking
+from rcp_replay.player import Player
 from rcp_replay.testing import replayed
 
 pytestmark = pytest.mark.anyio
@@ -261,6 +263,29 @@ async def _damaged(
 async def _values(following: Callable[[], Awaitable[Any]], count: int) -> list[Any]:
     async with asyncio.timeout(BOUND):
         return [await following() for _ in range(count)]
+
+
+async def test_a_change_at_the_moment_of_its_end_does_not_keep_it(tmp_path: Path) -> None:
+    published = asyncio.Event()
+    with ExitStack() as stack:
+        recordings = list(open_recordings([(written(tmp_path, 1), None)], stack))
+        player = Player(
+            recordings,
+            lambda _: True,
+            lambda _: published.set(),
+            speed=1e-6,
+            loop=False,
+            paused=False,
+        )
+        stack.callback(player.close)
+        playing = asyncio.create_task(player.run())
+        await asyncio.wait_for(published.wait(), BOUND)
+        for _ in range(10):  # turns of the loop, until it waits for the next record
+            await asyncio.sleep(0)
+        player.change(paused=True)
+        playing.cancel()
+        await asyncio.wait([playing], timeout=BOUND)
+        assert playing.cancelled()
 
 
 async def _state_of_backend(client: MemoryClient, wanted: str) -> str:
