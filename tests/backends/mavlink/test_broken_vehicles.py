@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 
 import pytest
 
 from backends.mavlink.puppet import LAT, LON, Puppet, station
 from rcp_gateway.testing import eventually
-from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed
+from rcp_mavlink.commands import Command
 from rcp_mavlink.duplicates import Duplicates
 
-BRAKE, DENIED, PARKED = 17, 2, 7_000
+BRAKE, DENIED, RUNNING, PARKED = 17, 2, 5, 7_000
 ROVER, COPTER, INVALID, ARDUPILOT = 10, 2, 8, 3
 
 
@@ -56,6 +58,18 @@ async def test_a_parked_vehicle_with_the_same_system_id_confirms_no_stop(type_: 
         assert not halt.done()
         with pytest.raises(DeviceTimeout):
             await asyncio.wait_for(halt, 20.0)
+
+
+async def test_a_parked_vehicle_with_the_same_system_id_takes_no_plan_from_the_guard() -> None:
+    puppet = aloft()
+    async with station(puppet) as found:
+        vehicle, plans = found.robot.vehicle, found.served.life.host.plans
+        parked_beside(puppet, COPTER)
+        await eventually(lambda: _is(vehicle.duplicated and plans), "both are heard")
+        kept: list[bool] = []
+        vehicle.on_frame.append(lambda _: kept.append(bool(plans)))
+        await eventually(lambda: _is(len(kept) > 60), "both are heard for a while")
+        assert all(kept)
 
 
 async def test_a_heartbeat_of_another_kind_does_not_change_the_vehicle() -> None:
@@ -177,6 +191,48 @@ async def test_the_answer_to_a_repetition_is_not_that_of_the_next_command() -> N
         assert first["status"] == "completed", first
         second = await found.do("service/command", {"command": "DO_GRIPPER"})
         assert second["status"] == "rejected", second
+
+
+def owe(commands: Any, number: int) -> None:
+    """Have a reply to an earlier command of a number still to come."""
+    commands._orphans[number] = (1, time.monotonic() + 60.0)  # noqa: SLF001
+
+
+def has_turn(commands: Any, number: int) -> bool:
+    """Return whether a command of a number is being sent."""
+    return commands._turns[number].locked()  # noqa: SLF001
+
+
+async def test_a_hold_is_sent_at_once_while_replies_to_an_earlier_mode_may_still_come() -> None:
+    puppet = aloft()
+    puppet.results[176] = lambda m: setattr(puppet, "mode", int(m.param2)) or 0
+    async with station(puppet) as found:
+        await eventually(lambda: _is(found.robot.vehicle.landed is False), "it flies")
+        commands = found.robot.motion._commands  # noqa: SLF001
+        owe(commands, 176)
+        holding = asyncio.create_task(found.robot.motion.hold())
+        await eventually(lambda: _is(puppet.mode == BRAKE), "it is told", 10.0)
+        puppet.send("COMMAND_ACK", 176, DENIED, 0, 0, 255, 190)  # the late one
+        await asyncio.wait_for(holding, 20.0)
+
+
+async def test_a_late_reply_is_still_known_as_such_after_a_cancellation() -> None:
+    async with station(Puppet()) as found:
+        puppet = found.puppet
+        commands = found.robot.motion._commands  # noqa: SLF001
+        puppet.results[211] = lambda _: DENIED
+        owe(commands, 211)
+        gripper = Command(211)
+        cancelled = asyncio.create_task(commands.send(gripper, "gripper"))
+        await eventually(lambda: _is(has_turn(commands, 211)), "it waits")
+        cancelled.cancel()
+        await asyncio.wait((cancelled,))
+        again = asyncio.create_task(commands.send(gripper, "gripper"))
+        await eventually(lambda: _is(has_turn(commands, 211)), "it waits")
+        for result in (RUNNING, 0):  # of a command before, which goes on for a while
+            puppet.send("COMMAND_ACK", 211, result, 0, 0, 255, 190)
+        with pytest.raises(DeviceRejected):
+            await asyncio.wait_for(again, 20.0)
 
 
 async def test_a_list_whose_length_changes_meanwhile_is_complete_with_all_of_it() -> None:
