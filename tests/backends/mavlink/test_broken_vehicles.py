@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from backends.mavlink.puppet import LAT, LON, Puppet, station
+from backends.mavlink.puppet import KIND, LAT, LON, Puppet, listening, station
 from rcp_gateway.testing import eventually
+from rcp_gateway.testing._serve import serve_backend
 from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed
 from rcp_mavlink.commands import Command
 from rcp_mavlink.duplicates import Duplicates
@@ -106,6 +107,48 @@ def test_two_vehicles_are_told_from_a_restart(boots: list[float], *, seen: bool)
         duplicates.take_clock("ATTITUDE", boot, 100.0 + at / 4)
     assert duplicates.seen(101.0) is seen
     assert not duplicates.seen(120.0)
+
+
+async def test_a_stop_reaches_both_vehicles_with_one_system_id_at_their_own_addresses() -> None:
+    puppet, parked = aloft(), Puppet(type_=ROVER)
+    async with listening(puppet) as one, listening(parked) as other:
+        links = [f"udpout:127.0.0.1:{port}" for port in (one, other)]
+        async with serve_backend(KIND, {"links": links, "timeout": 0.3, "silence": 1.5}) as served:
+            robots = await opened(served)
+            await eventually(lambda: _is(robots[""].vehicle.duplicated), "both are heard")
+            puppet.write = lambda _: None  # type: ignore[method-assign]  # it still receives
+            alone = asyncio.get_running_loop().time()
+            seen = robots[""].vehicle.received_at
+            await eventually(lambda: _is(seen["EXTENDED_SYS_STATE"] > alone + 0.2), "one is heard")
+            halt = asyncio.create_task(robots[""].stop.halt())
+            await eventually(lambda: _is(puppet.commands(176)), "it is told to stop", 8.0)
+            await eventually(lambda: _is(parked.commands(176)), "the other is told to stop", 8.0)
+            halt.cancel()
+            await asyncio.wait((halt,))
+
+
+async def opened(served: Any) -> Any:
+    await eventually(lambda: _is(served.lives and served.life.backend.robots), "it is open", 20.0)
+    return served.life.backend.robots
+
+
+def test_a_vehicle_that_falls_silent_is_not_succeeded_by_the_one_beside_it() -> None:
+    duplicates, own, other = Duplicates((3, 2), 100.0), (3, 2), (3, 10)
+    for beat in range(5):
+        assert duplicates.is_own(own, 101.0 + beat)
+        assert not duplicates.is_own(other, 101.5 + beat)
+    for beat in range(60):
+        assert not duplicates.is_own(other, 106.5 + beat)
+        assert duplicates.seen(106.5 + beat)
+    assert duplicates.is_own(own, 170.0)
+
+
+def test_a_vehicle_with_other_firmware_succeeds_although_one_heartbeat_overtook_another() -> None:
+    duplicates, own, new = Duplicates((3, 2), 100.0), (3, 2), (12, 2)
+    assert not duplicates.is_own(new, 101.0)
+    assert duplicates.is_own(own, 101.1)
+    assert not duplicates.is_own(new, 102.0)
+    assert duplicates.is_own(new, 105.0)
 
 
 @pytest.mark.parametrize("silent", [False, True])
