@@ -132,7 +132,7 @@ class GatewayActionHost:
     def started_by(self, request: Request) -> Command | None:
         """Return the command that a request has started, while it runs."""
         # Not by its id: the reply that contains it may wait for its record.
-        running = self._journal.running.values()
+        running = self._journal.running_on(request.path or "")
         return next((c for c in running if c.custom is request.custom), None)
 
     def disown(self, session: Session, id_: str) -> None:

@@ -46,9 +46,15 @@ def _exclusive(config: MavlinkConfig) -> Iterator[Exclusive]:
         if link.kind == "serial":
             yield Exclusive(text, link.host)
         elif link.kind in ("udpin", "tcpin") and link.port:
-            # For TCP asyncio opens `::` for IPv6 alone (IPV6_V6ONLY), for UDP it takes IPv4 as well.
-            both = link.kind == "udpin" and link.host == "::"
-            yield Exclusive(text, f"{link.kind} {link.port}", "*" if both else link.host)
+            yield Exclusive(text, f"{link.kind} {link.port}", _address(link))
+
+
+def _address(link: LinkSpec) -> str:
+    """Return the address that a link listens at, as far as it is known without a name service."""
+    if link.host.lower() == "localhost":  # every resolver has it
+        return "127.0.0.1"
+    # For TCP asyncio opens `::` for IPv6 alone (IPV6_V6ONLY), for UDP it takes IPv4 as well.
+    return "*" if link.kind == "udpin" and link.host == "::" else link.host
 
 
 @hookimpl

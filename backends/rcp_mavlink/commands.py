@@ -152,7 +152,8 @@ class Commands:
 
         config = self._hub.config
         with self._vehicle.listening("COMMAND_ACK", take, anybody=True):
-            await self._let_pass(command.number, answers)
+            first = self._message(command, 0, whole=whole) if urgent else None
+            await self._let_pass(command, answers, first)
             running, attempt = False, 0
             try:
                 while attempt <= config.retries and not running:  # one in progress would begin anew
@@ -188,13 +189,26 @@ class Commands:
         """Note that replies to what was sent may still arrive."""
         self._orphans[number] = (count, time.monotonic() + self._hub.config.timeout)
 
-    async def _let_pass(self, number: int, answers: asyncio.Queue[tuple[int, int]]) -> None:
-        """Wait for late replies: they would be mistaken for those to the next command."""
-        count, until = self._orphans.pop(number, (0, 0.0))
+    async def _let_pass(
+        self, command: Command, answers: asyncio.Queue[tuple[int, int]], urgently: Any
+    ) -> None:
+        """Wait for late replies: they would be mistaken for those to the next command.
+
+        What brings to rest does not wait: the message `urgently` is sent at once, and again later.
+        """
+        count, until = self._orphans.get(command.number, (0, 0.0))
+        left = until - time.monotonic()
+        if urgently is not None and count and left > 0:
+            _check_fence(command)
+            self._hub.send(self._vehicle, urgently, urgent=True)
+            count += 1
         with suppress(TimeoutError):
-            async with timeout(until - time.monotonic()):
-                for _ in range(count):
-                    await answers.get()
+            async with timeout(left):
+                while count:
+                    self._orphans[command.number] = count, until  # if it is cancelled here
+                    result, _ = await answers.get()
+                    count -= result != _RUNNING
+        self._orphans.pop(command.number, None)
 
     async def _answer(
         self, answers: asyncio.Queue[tuple[int, int]], seconds: float

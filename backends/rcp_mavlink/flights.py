@@ -15,6 +15,7 @@ from rcp_mavlink.journeys import Journeys, holding
 from rcp_mavlink.motion import Motion, unanswered
 from rcp_mavlink.parameters import Parameters
 from rcp_mavlink.places import fix_of, located, part, reach
+from rcp_mavlink.restart import one_boot
 from rcp_mavlink.vehicle import Fix, Vehicle
 
 __all__ = ["Flights"]
@@ -132,24 +133,29 @@ class Flights:
         near = 0.0
         if what == "return" and family.kind != "copter":
             near = reach(vehicle, self._parameters, _HOME)
-        async with holding(self._motion):
+        measurement = self._motion.measurement
+        async with holding(self._motion), one_boot(vehicle, self._commands, what) as boot:
 
             def report() -> bool:
                 now = fix_of(vehicle)
                 left = self._left(now, what)
                 feedback = m.OnItsWay(left, now.height, vehicle.mode)
                 progress(feedback, fraction=part(first - left, first))
-                down = vehicle.landed is True and not vehicle.armed
+                down = measurement.standing and measurement.disarmed
                 return down or self._from_home(now) < near
 
             with unanswered(report):
                 await self._motion.to_mode(mode)
-            await self._motion.follow(report, what, stays=lambda: vehicle.mode == mode)
+
+            def stays() -> bool:
+                return vehicle.mode == mode and not boot.began_again
+
+            await self._motion.follow(report, what, stays=stays)
         return m.Height(fix_of(vehicle).height)
 
     def _check_not_down(self, what: str) -> None:
-        vehicle = self._vehicle
-        if vehicle.landed and not vehicle.armed and vehicle.family.flies:
+        measurement = self._motion.measurement
+        if self._vehicle.family.flies and measurement.standing and measurement.disarmed:
             raise PreconditionFailed(f"{what}: the vehicle is already on the ground")
 
     def _from_home(self, fix: Fix) -> float:

@@ -28,6 +28,7 @@ log = structlog.get_logger("rcp.mavlink")
 _BEAT = 1.0  # s between two heartbeats of the gateway
 _NO_AUTOPILOT, _GROUND_STATION = 8, 6
 _MOST = 255
+_LATELY = 30.0  # s
 
 
 class _Sink:
@@ -36,6 +37,10 @@ class _Sink:
 
     def write(self, frame: bytes) -> None:
         self.frame = bytes(frame)
+
+
+def _heard(route: tuple[Any, Any, float]) -> float:
+    return route[2]
 
 
 class Hub:
@@ -118,9 +123,19 @@ class Hub:
     # Sending
 
     def send(self, vehicle: Vehicle, message: Any, *, urgent: bool = False) -> None:
-        """Send a message to a vehicle over its last active link; an urgent one has room on a full one."""
-        if vehicle.routes:
-            link, address, _ = max(vehicle.routes.values(), key=lambda route: route[2])
+        """Send a message to a vehicle over its last active link; an urgent one has room on a full one.
+
+        Where two vehicles have its system id, an urgent one goes wherever one was heard lately.
+        """
+        routes = list(vehicle.routes.values())
+        if not routes:
+            return
+        last = max(routes, key=_heard)
+        if urgent and vehicle.duplicated:
+            ways = [route for route in routes if _heard(last) - _heard(route) < _LATELY]
+        else:
+            ways = [last]
+        for link, address, _ in ways:
             link.send(self._packed(link, message), address, urgent=urgent)
 
     def is_target(self, fields: Mapping[str, Any]) -> bool:

@@ -13,6 +13,7 @@ from rcp_mavlink import messages as m
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.plans import MISSION, Plans
+from rcp_mavlink.restart import Restart, one_boot
 from rcp_mavlink.vehicle import Vehicle
 
 __all__ = ["Missions"]
@@ -51,43 +52,50 @@ class Missions:
 
     async def run(self, _: None, progress: Progress) -> m.MissionProgress:
         """Fly the mission to its end."""
-        vehicle, auto = self._vehicle, self._vehicle.family.auto
-        if not vehicle.armed:
+        if not self._vehicle.armed:
             raise PreconditionFailed("mission: the vehicle is not armed", remedy="Arm it first.")
-        flew = vehicle.landed is False
         try:
-            await self._motion.to_mode(auto)
-            await self._commands.send(Command(300), "mission")
-            since = time.monotonic()
-            started = await vehicle.until(
-                lambda: (
-                    self._now()["mission_state"] in (_ACTIVE, _COMPLETE)
-                    and vehicle.received_at["MISSION_CURRENT"] > since
-                ),
-                _STARTING,
-            )
-            if not started:
-                raise DeviceTimeout("mission: accepted, but the vehicle does not start it")
-
-            def report() -> bool:
-                nonlocal flew
-                flew = flew or vehicle.landed is False
-                now = self._now()
-                total = now.get("total", 0)
-                part = now["seq"] / total if 0 < total < 65535 else 0.0
-                progress(self._progress(), fraction=min(1.0, part))
-                over = vehicle.landed is True and not vehicle.armed
-                return now["mission_state"] == _COMPLETE or (flew and over)
-
-            try:
-                await self._motion.follow(report, "mission", stays=lambda: vehicle.mode == auto)
-            except DeviceRejected:
-                if not await self._is_finished():
-                    raise
+            async with one_boot(self._vehicle, self._commands, "mission") as boot:
+                await self._fly(progress, boot)
         except asyncio.CancelledError:
             await self._motion.shielded(self._motion.hold)
             raise
         return self._progress()
+
+    async def _fly(self, progress: Progress, boot: Restart) -> None:
+        vehicle, auto = self._vehicle, self._vehicle.family.auto
+        measurement, flew = self._motion.measurement, vehicle.landed is False
+        await self._motion.to_mode(auto)
+        await self._commands.send(Command(300), "mission")
+        since = time.monotonic()
+        started = await vehicle.until(
+            lambda: (
+                self._now()["mission_state"] in (_ACTIVE, _COMPLETE)
+                and vehicle.received_at["MISSION_CURRENT"] > since
+            ),
+            _STARTING,
+        )
+        if not started:
+            raise DeviceTimeout("mission: accepted, but the vehicle does not start it")
+
+        def report() -> bool:
+            nonlocal flew
+            flew = flew or vehicle.landed is False
+            now = self._now()
+            total = now.get("total", 0)
+            part = now["seq"] / total if 0 < total < 65535 else 0.0
+            progress(self._progress(), fraction=min(1.0, part))
+            over = measurement.standing and measurement.disarmed
+            return now["mission_state"] == _COMPLETE or (flew and over)
+
+        def stays() -> bool:
+            return vehicle.mode == auto and not boot.began_again
+
+        try:
+            await self._motion.follow(report, "mission", stays=stays)
+        except DeviceRejected:
+            if boot.began_again or not await self._is_finished():
+                raise
 
     def _progress(self) -> m.MissionProgress:
         now = self._now()

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Generator
-from contextlib import ExitStack, contextmanager
+from collections.abc import AsyncGenerator, Callable, Generator
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 
-from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed, RcpError
 from rcp_kernel.spi import Progress
 from rcp_mavlink.commands import Command, Commands
 from rcp_mavlink.frames import Frame
 from rcp_mavlink.motion import Motion
 from rcp_mavlink.vehicle import Vehicle
 
-__all__ = ["Restart", "Restarts", "watched"]
+__all__ = ["Restart", "Restarts", "one_boot", "watched"]
 
 _CLOCKS = ("SYSTEM_TIME", "GLOBAL_POSITION_INT", "LOCAL_POSITION_NED", "ATTITUDE")
 """Messages with the time since boot."""
@@ -23,16 +23,19 @@ _RESTING = 5.0  # s to come to rest before the motors are stopped
 _COMING_BACK = 30.0  # s for a reboot
 _SYSTEM_TIME, _ASKING = 2.0, 0.5  # a message with its clock, and s between requests for it
 _PAUSE = 3.0  # s without a heartbeat; one a second is sent
+_TOLD = 3.0  # s for a message with its clock
 
 
 class Restart:
-    """One restart that was commanded, as the messages of the vehicle show it."""
+    """Whether a vehicle restarts, as its messages show it."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         known = [name for name in _CLOCKS if name in vehicle.received_at]
         last = max(known, key=vehicle.received_at.__getitem__, default=None)
         self._clock = 0 if last is None else vehicle.latest[last].fields()["time_boot_ms"]
         self._heard = time.monotonic()
+        self.clock_at = float("-inf")
+        """When its clock was last heard, on the monotonic clock."""
         self._gone = False
         self.began_again = False
         """Whether its clock was seen to begin again."""
@@ -43,6 +46,7 @@ class Restart:
         """See whether the clock began again."""
         clock = frame.fields()["time_boot_ms"]
         if clock:  # some vehicles leave it at 0
+            self.clock_at = time.monotonic()
             self.began_again = self.began_again or clock + _OUT_OF_ORDER < self._clock
             self._gone = self._gone or self.began_again
             self._clock = max(clock, self._clock)
@@ -52,6 +56,11 @@ class Restart:
         now = time.monotonic()
         self._gone = self._gone or now - self._heard >= _PAUSE
         self._heard, self.done = now, self._gone
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether it has told its clock at all."""
+        return self._clock > 0
 
     def overlook_pause(self) -> None:
         """Take a pause of the heartbeats for one of the link."""
@@ -67,6 +76,44 @@ def watched(vehicle: Vehicle) -> Generator[Restart]:
             stack.enter_context(vehicle.listening(name, restart.take_clock))
         stack.enter_context(vehicle.listening("HEARTBEAT", restart.take_heartbeat))
         yield restart
+
+
+@asynccontextmanager
+async def one_boot(vehicle: Vehicle, commands: Commands, what: str) -> AsyncGenerator[Restart]:
+    """Watch that a vehicle does not restart while entered.
+
+    After a restart in the air it says that it is disarmed and on the ground.
+
+    :raises DeviceTimeout: it restarted, or its clock does not show that it did not.
+    """
+    with watched(vehicle) as restart:
+        try:
+            yield restart
+        except DeviceRejected:
+            if restart.began_again:
+                raise _restarted(what) from None
+            raise
+        at = time.monotonic()
+        with suppress(RcpError, OSError):  # most send it unasked
+            commands.send_once(Command(_REQUEST, (_SYSTEM_TIME, 0.0, 0.0, 0.0)))
+
+        def is_told() -> bool:
+            return restart.began_again or restart.clock_at > at or not restart.has_clock
+
+        told = await vehicle.until(is_told, _TOLD)
+        if restart.began_again:
+            raise _restarted(what)
+        if not told:
+            raise DeviceTimeout(
+                f"{what}: the vehicle's clock does not show that it has not restarted"
+            )
+
+
+def _restarted(what: str) -> DeviceTimeout:
+    return DeviceTimeout(
+        f"{what}: the vehicle restarted meanwhile: what it reports proves nothing",
+        remedy="Look where it is before you command it again.",
+    )
 
 
 class Restarts:
@@ -108,7 +155,8 @@ class Restarts:
         :raises PreconditionFailed: it may be in the air, where a reboot would make it fall.
         """
         vehicle = self._vehicle
-        if vehicle.family.flies and vehicle.armed and vehicle.landed is not True:
+        measurement = self._motion.measurement
+        if vehicle.family.flies and not (measurement.disarmed or measurement.standing):
             raise PreconditionFailed("reset: the vehicle is in the air", remedy="Land it first.")
         self._end_setpoints()
         if vehicle.armed:

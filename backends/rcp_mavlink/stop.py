@@ -180,7 +180,7 @@ class Stop:
         with unfenced():
             if self._vehicle.lost:
                 # The uplink may work although the downlink does not.
-                if now - self._sent >= _BLINDLY and self._vehicle.armed:
+                if now - self._sent >= _BLINDLY and self._vehicle.may_be_armed:
                     self._send(self.rung)
             elif self._doubtful() or self._flight().at_rest is not True:
                 if now - self._failed >= _RESTART or self._doubtful():
@@ -450,7 +450,7 @@ class Stop:
         A disarmed vehicle is only queried: a flight mode would outlast the stop.
         """
         vehicle, now = self._vehicle, time.monotonic()
-        armed = vehicle.armed or vehicle.duplicated  # the other one may be the disarmed
+        armed = vehicle.may_be_armed
         if armed and self._needs_mode_first(now):
             self._request(_HEARTBEAT)
             return

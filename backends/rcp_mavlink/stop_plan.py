@@ -50,7 +50,7 @@ class GuardPlan:
             log.warning("no_guard", vehicle=self._name, why=why)
         self._why_none = why
         # A disarmed vehicle does not move, and a flight mode would outlast its purpose.
-        wanted = not why and vehicle.armed and rung is not None
+        wanted = not why and vehicle.may_be_armed and rung is not None
         key = (address, vehicle.component, vehicle.family, rung) if wanted else None
         if key == self._given:
             return

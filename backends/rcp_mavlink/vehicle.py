@@ -140,6 +140,11 @@ class Vehicle:
         """Whether another vehicle with its system id was heard lately."""
         return self._duplicates is not None and self._duplicates.seen(time.monotonic())
 
+    @property
+    def may_be_armed(self) -> bool:
+        """Whether it is armed, or another vehicle with its system id may be what says it is not."""
+        return self.armed or self.duplicated
+
     def overhear(self, frame: Frame) -> None:
         """Handle a frame of another component on board, such as a camera or gimbal."""
         number = frame.definition.id

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -22,6 +22,7 @@ from rcp_kernel.access.acl import Rights
 from rcp_kernel.contract.metrics import counter, gauge
 from rcp_kernel.features import FeatureHost, StatusPart
 from rcp_kernel.features.robots import SupervisedBackend
+from rcp_kernel.tree.entry import Owner
 
 __all__ = ["GuardLink"]
 
@@ -84,8 +85,11 @@ class GuardLink:
         self._next()
         try:
             self._look()
+            commanded = self._commanded()
             self._arming.armed = frozenset(
-                supervisor.name for supervisor in self._backends if self._may_move(supervisor)
+                supervisor.name
+                for supervisor in self._backends
+                if self._may_move(supervisor, commanded)
             )
         except Exception:  # a heartbeat that fails would have the robots stopped
             log.exception("guard_link_failed")
@@ -137,14 +141,14 @@ class GuardLink:
                     continue
                 yield f"{supervisor.name}/{name}", {"group": supervisor.name, **plain}
 
-    def _may_move(self, supervisor: SupervisedBackend) -> bool:
+    def _may_move(self, supervisor: SupervisedBackend, commanded: Container[Owner]) -> bool:
         if any(unit.latch is not None for unit in supervisor.units):
             return True
         moved = self._arming.moved.get(supervisor)
         if moved is None:
             return False
         now = self._loop.time()
-        if self._is_commanded(supervisor):
+        if supervisor in commanded:
             self._arming.moved[supervisor] = now
             return True
         if now - moved > _LINGER and self._rests(supervisor, now - moved):
@@ -152,15 +156,17 @@ class GuardLink:
             return False
         return True
 
-    def _is_commanded(self, backend: SupervisedBackend) -> bool:
-        entries = self._host.robots.entries
-        return any(
-            (entry := entries.get(path)) is not None and entry.owner is backend
-            for path in self._control.in_force
-        ) or any(
-            (entry := command.entry) is not None and entry.owner is backend and entry.barred
-            for command in self._control.running()
-        )
+    def _commanded(self) -> set[Owner]:
+        """Return the backends with a value in force or a motion under way, in one walk for all."""
+        if not self._arming.moved:
+            return set()
+        entries, control = self._host.robots.entries, self._control
+        found = {entries[path].owner for path in control.in_force if path in entries}
+        for command in control.running():
+            entry = command.entry
+            if entry is not None and entry.barred:
+                found.add(entry.owner)
+        return found
 
     def _rests(self, supervisor: SupervisedBackend, since: float) -> bool:
         """Return whether a backend is at rest: as measured, or else as far as can be known."""

@@ -38,10 +38,10 @@ def failed(drive: Any) -> bool:
 @asynccontextmanager
 async def driven_durand() -> AsyncGenerator[tuple[Rig, DurandDrive]]:
     name = channel()
-    motor = {"bus": "can0", "profile": "cia402", "node": 6, "velocity": 20.0, "timeout": 1.0}
+    motor = {"bus": "can0", "profile": "cia402", "node": 6, "velocity": 20.0, "timeout": 10.0}
     bus = {"interface": "virtual", "channel": name}
     with durand_drive(name, 6) as drive:
-        async with opened({"buses": {"can0": bus}, "motors": {"m": motor}, "grace": 8.0}) as rig:
+        async with opened({"buses": {"can0": bus}, "motors": {"m": motor}, "grace": 30.0}) as rig:
             assert rig.host.reports == []
             yield rig, drive
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 
 import pytest
 
-from backends.mavlink.puppet import LAT, LON, Puppet, station
+from backends.mavlink.puppet import KIND, LAT, LON, Puppet, listening, station
 from rcp_gateway.testing import eventually
-from rcp_kernel.errors import DeviceTimeout, PreconditionFailed
+from rcp_gateway.testing._serve import serve_backend
+from rcp_kernel.errors import DeviceRejected, DeviceTimeout, PreconditionFailed
+from rcp_mavlink.commands import Command
 from rcp_mavlink.duplicates import Duplicates
 
-BRAKE, DENIED, PARKED = 17, 2, 7_000
+BRAKE, DENIED, RUNNING, PARKED = 17, 2, 5, 7_000
 ROVER, COPTER, INVALID, ARDUPILOT = 10, 2, 8, 3
 
 
@@ -58,6 +61,18 @@ async def test_a_parked_vehicle_with_the_same_system_id_confirms_no_stop(type_: 
             await asyncio.wait_for(halt, 20.0)
 
 
+async def test_a_parked_vehicle_with_the_same_system_id_takes_no_plan_from_the_guard() -> None:
+    puppet = aloft()
+    async with station(puppet) as found:
+        vehicle, plans = found.robot.vehicle, found.served.life.host.plans
+        parked_beside(puppet, COPTER)
+        await eventually(lambda: _is(vehicle.duplicated and plans), "both are heard")
+        kept: list[bool] = []
+        vehicle.on_frame.append(lambda _: kept.append(bool(plans)))
+        await eventually(lambda: _is(len(kept) > 60), "both are heard for a while")
+        assert all(kept)
+
+
 async def test_a_heartbeat_of_another_kind_does_not_change_the_vehicle() -> None:
     puppet = aloft()
     async with station(puppet) as found:
@@ -92,6 +107,48 @@ def test_two_vehicles_are_told_from_a_restart(boots: list[float], *, seen: bool)
         duplicates.take_clock("ATTITUDE", boot, 100.0 + at / 4)
     assert duplicates.seen(101.0) is seen
     assert not duplicates.seen(120.0)
+
+
+async def test_a_stop_reaches_both_vehicles_with_one_system_id_at_their_own_addresses() -> None:
+    puppet, parked = aloft(), Puppet(type_=ROVER)
+    async with listening(puppet) as one, listening(parked) as other:
+        links = [f"udpout:127.0.0.1:{port}" for port in (one, other)]
+        async with serve_backend(KIND, {"links": links, "timeout": 0.3, "silence": 1.5}) as served:
+            robots = await opened(served)
+            await eventually(lambda: _is(robots[""].vehicle.duplicated), "both are heard")
+            puppet.write = lambda _: None  # type: ignore[method-assign]  # it still receives
+            alone = asyncio.get_running_loop().time()
+            seen = robots[""].vehicle.received_at
+            await eventually(lambda: _is(seen["EXTENDED_SYS_STATE"] > alone + 0.2), "one is heard")
+            halt = asyncio.create_task(robots[""].stop.halt())
+            await eventually(lambda: _is(puppet.commands(176)), "it is told to stop", 8.0)
+            await eventually(lambda: _is(parked.commands(176)), "the other is told to stop", 8.0)
+            halt.cancel()
+            await asyncio.wait((halt,))
+
+
+async def opened(served: Any) -> Any:
+    await eventually(lambda: _is(served.lives and served.life.backend.robots), "it is open", 20.0)
+    return served.life.backend.robots
+
+
+def test_a_vehicle_that_falls_silent_is_not_succeeded_by_the_one_beside_it() -> None:
+    duplicates, own, other = Duplicates((3, 2), 100.0), (3, 2), (3, 10)
+    for beat in range(5):
+        assert duplicates.is_own(own, 101.0 + beat)
+        assert not duplicates.is_own(other, 101.5 + beat)
+    for beat in range(60):
+        assert not duplicates.is_own(other, 106.5 + beat)
+        assert duplicates.seen(106.5 + beat)
+    assert duplicates.is_own(own, 170.0)
+
+
+def test_a_vehicle_with_other_firmware_succeeds_although_one_heartbeat_overtook_another() -> None:
+    duplicates, own, new = Duplicates((3, 2), 100.0), (3, 2), (12, 2)
+    assert not duplicates.is_own(new, 101.0)
+    assert duplicates.is_own(own, 101.1)
+    assert not duplicates.is_own(new, 102.0)
+    assert duplicates.is_own(new, 105.0)
 
 
 @pytest.mark.parametrize("silent", [False, True])
@@ -177,6 +234,48 @@ async def test_the_answer_to_a_repetition_is_not_that_of_the_next_command() -> N
         assert first["status"] == "completed", first
         second = await found.do("service/command", {"command": "DO_GRIPPER"})
         assert second["status"] == "rejected", second
+
+
+def owe(commands: Any, number: int) -> None:
+    """Have a reply to an earlier command of a number still to come."""
+    commands._orphans[number] = (1, time.monotonic() + 60.0)  # noqa: SLF001
+
+
+def has_turn(commands: Any, number: int) -> bool:
+    """Return whether a command of a number is being sent."""
+    return commands._turns[number].locked()  # noqa: SLF001
+
+
+async def test_a_hold_is_sent_at_once_while_replies_to_an_earlier_mode_may_still_come() -> None:
+    puppet = aloft()
+    puppet.results[176] = lambda m: setattr(puppet, "mode", int(m.param2)) or 0
+    async with station(puppet) as found:
+        await eventually(lambda: _is(found.robot.vehicle.landed is False), "it flies")
+        commands = found.robot.motion._commands  # noqa: SLF001
+        owe(commands, 176)
+        holding = asyncio.create_task(found.robot.motion.hold())
+        await eventually(lambda: _is(puppet.mode == BRAKE), "it is told", 10.0)
+        puppet.send("COMMAND_ACK", 176, DENIED, 0, 0, 255, 190)  # the late one
+        await asyncio.wait_for(holding, 20.0)
+
+
+async def test_a_late_reply_is_still_known_as_such_after_a_cancellation() -> None:
+    async with station(Puppet()) as found:
+        puppet = found.puppet
+        commands = found.robot.motion._commands  # noqa: SLF001
+        puppet.results[211] = lambda _: DENIED
+        owe(commands, 211)
+        gripper = Command(211)
+        cancelled = asyncio.create_task(commands.send(gripper, "gripper"))
+        await eventually(lambda: _is(has_turn(commands, 211)), "it waits")
+        cancelled.cancel()
+        await asyncio.wait((cancelled,))
+        again = asyncio.create_task(commands.send(gripper, "gripper"))
+        await eventually(lambda: _is(has_turn(commands, 211)), "it waits")
+        for result in (RUNNING, 0):  # of a command before, which goes on for a while
+            puppet.send("COMMAND_ACK", 211, result, 0, 0, 255, 190)
+        with pytest.raises(DeviceRejected):
+            await asyncio.wait_for(again, 20.0)
 
 
 async def test_a_list_whose_length_changes_meanwhile_is_complete_with_all_of_it() -> None:

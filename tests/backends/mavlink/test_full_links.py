@@ -67,8 +67,12 @@ async def test_a_cancellation_has_room_on_a_full_link(monkeypatch: pytest.Monkey
     puppet.results[211] = lambda _: 5
     async with station(puppet) as found:
         path, body = "/tenant/t/service/command", {"command": "DO_GRIPPER"}
-        await found.client.send(type="execute", path=path, body=body)
-        await eventually(lambda: _is(puppet.commands(211)), "it has begun")
+        begun = asyncio.Event()
+        with found.robot.vehicle.listening(
+            "COMMAND_ACK", lambda ack: begun.set() if ack.fields()["command"] == 211 else None
+        ):
+            await found.client.send(type="execute", path=path, body=body)
+            await asyncio.wait_for(begun.wait(), 60.0)  # only what has begun can be cancelled
         fill(monkeypatch)
         await found.client.request("cancel", path)
         await eventually(lambda: _is(puppet.messages("UNKNOWN_80")), "it is told")

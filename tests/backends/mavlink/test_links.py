@@ -147,6 +147,9 @@ async def test_with_a_key_only_who_has_it_is_heard() -> None:
         ("[::1]", "127.0.0.1"),
         ("0.0.0.0", "127.0.0.1"),
         ("127.0.0.1", "127.0.0.2"),
+        ("127.0.0.1", "localhost"),
+        ("Localhost", "0.0.0.0"),
+        ("127.0.0.2", "localhost"),
     ],
 )
 async def test_links_are_said_to_clash_if_both_cannot_be_open(

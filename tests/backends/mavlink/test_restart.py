@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from backends.mavlink.puppet import Puppet, station
+from rcp_gateway.testing import eventually
 from rcp_mavlink import restart
 
 _GOES_ON = 1.5  # s after the acknowledgement, with heartbeats
@@ -59,3 +60,102 @@ async def test_a_vehicle_that_only_accepts_a_reboot_has_not_rebooted(
         reply = await found.do("service/reboot")
         assert (reply["status"], reply["error"]["code"]) == ("failed", "device_timeout"), reply
         assert "has not restarted" in reply["message"]
+
+
+GUIDED, AUTO, LAND = 4, 3, 9
+
+
+def flying() -> Puppet:
+    """Make a copter in the air that takes each mode, and starts its mission."""
+    puppet = Puppet()
+    puppet.armed, puppet.landed, puppet.mode, puppet.height = True, 2, GUIDED, 20.0
+
+    def set_mode(message: Any) -> int:
+        puppet.mode = int(message.param2)
+        return 0
+
+    puppet.results = {176: set_mode, 300: lambda _: 0}
+    puppet.also.append(lambda: puppet.send("MISSION_CURRENT", 1, 2, 3, 1))
+    return puppet
+
+
+def restart_in_the_air(puppet: Puppet) -> None:
+    """Have it begin anew: it says that it is disarmed on the ground until it knows better."""
+    puppet.booted = asyncio.get_running_loop().time() - 1.0
+    puppet.armed, puppet.landed = False, 1
+
+
+async def _is(truth: object) -> bool:
+    return bool(truth)
+
+
+@pytest.mark.parametrize(
+    ("action", "mode"), [("action/land", LAND), ("action/rtl", 6), ("action/mission/run", AUTO)]
+)
+@pytest.mark.parametrize("clock_last", [False, True])
+async def test_a_restart_on_the_way_down_is_no_landing(
+    action: str, mode: int, *, clock_last: bool
+) -> None:
+    puppet = flying()
+    async with station(puppet) as found:
+        await eventually(lambda: _is(found.robot.vehicle.landed is False), "it flies")
+        asked = asyncio.create_task(found.do(action))
+        await eventually(lambda: _is(puppet.mode == mode), "it is on its way")
+        await eventually(lambda: _is(found.robot.vehicle.mode_number == mode), "it has said so")
+        send = puppet.send
+        if clock_last:  # its state comes before the first message with its clock
+            held = asyncio.get_running_loop().time() + 1.0
+
+            def without_clock(name: str, *fields: Any) -> None:
+                late = asyncio.get_running_loop().time() > held
+                if late or name != "GLOBAL_POSITION_INT":
+                    send(name, *fields)
+
+            puppet.send = without_clock  # type: ignore[method-assign]
+        restart_in_the_air(puppet)
+        reply = await asked
+        assert (reply["status"], reply["error"]["code"]) == ("failed", "device_timeout"), reply
+        assert "restarted" in reply["message"]
+
+
+async def test_a_landing_without_a_restart_is_one() -> None:
+    puppet = flying()
+    async with station(puppet) as found:
+        await eventually(lambda: _is(found.robot.vehicle.landed is False), "it flies")
+        asked = asyncio.create_task(found.do("action/land"))
+        await eventually(lambda: _is(puppet.mode == LAND), "it is on its way")
+        puppet.armed, puppet.landed, puppet.height = False, 1, 0.0
+        reply = await asked
+        assert reply["status"] == "completed", reply
+
+
+async def test_a_landing_that_no_clock_confirms_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(restart, "_TOLD", 0.5)
+    puppet = flying()
+    async with station(puppet) as found:
+        await eventually(lambda: _is(found.robot.vehicle.landed is False), "it flies")
+        asked = asyncio.create_task(found.do("action/land"))
+        await eventually(lambda: _is(puppet.mode == LAND), "it is on its way")
+        send = puppet.send
+
+        def without_clock(name: str, *fields: Any) -> None:
+            if name != "GLOBAL_POSITION_INT":
+                send(name, *fields)
+
+        puppet.send = without_clock  # type: ignore[method-assign]
+        puppet.armed, puppet.landed = False, 1
+        reply = await asked
+        assert (reply["status"], reply["error"]["code"]) == ("failed", "device_timeout"), reply
+
+
+async def test_a_twin_on_the_ground_with_its_system_id_does_not_let_a_vehicle_be_reset() -> None:
+    puppet = flying()
+    async with station(puppet) as found:
+        vehicle = found.robot.vehicle
+        puppet.also.append(lambda: puppet.send("HEARTBEAT", 10, 3, 1, 0, 4, 3))
+        await eventually(lambda: _is(vehicle.duplicated), "both are heard")
+        puppet.armed = False  # as the heartbeats of one of the same kind say
+        await eventually(lambda: _is(not vehicle.armed), "it seems disarmed")
+        reply = await found.do("service/reset_system")
+        assert reply["status"] == "rejected", reply
+        assert not puppet.commands(246)
