@@ -8,7 +8,7 @@ from playwright.async_api import Page
 
 from rcp_dashboard.pages import STATIC
 
-__all__ = ["AXE", "SMALL", "violations", "wide"]
+__all__ = ["AXE", "SMALL", "scrolls_sideways", "violations"]
 
 AXE = STATIC.parent / "web" / "node_modules" / "axe-core" / "axe.min.js"
 _LOOKS = 200  # at whether all fits
@@ -39,7 +39,7 @@ async def violations(page: Page, rules: list[str]) -> list[str]:
     return found
 
 
-async def wide(page: Page) -> bool:
+async def scrolls_sideways(page: Page) -> bool:
     """Tell whether a page has to be scrolled sideways, once it is laid out.
 
     What is drawn follows the size of its place a frame later, on a busy machine after seconds.

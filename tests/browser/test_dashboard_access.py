@@ -8,7 +8,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.accessible import SMALL, violations, wide
+from browser.accessible import SMALL, scrolls_sideways, violations
 from browser.watched import Watched, log_in, watched
 from docs.demo import Demo
 
@@ -162,5 +162,5 @@ async def test_on_tablet_and_phone_all_fits_and_is_large_enough_for_fingers(
             await tab.open(name)
             await settled(tab.page)
             await expect(tab.page.get_by_test_id("estop")).to_be_in_viewport(ratio=1)
-            assert not await wide(tab.page), f"{name} has to be scrolled sideways"
+            assert not await scrolls_sideways(tab.page), f"{name} has to be scrolled sideways"
             assert not (small := await tab.page.evaluate(SMALL)), f"{name}: {small}"

@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Locator, Page, expect
 
-from browser.accessible import SMALL, violations
+from browser.accessible import SMALL, scrolls_sideways, violations
 from browser.machines import Machines, key_of, machines, person
 
 pytestmark = pytest.mark.anyio
@@ -238,11 +238,11 @@ async def test_layouts_suit_every_screen_and_everybody(
         await expect(panel(page, "Teleop · one")).to_be_visible()
         await expect(page.get_by_test_id("map")).to_be_visible()
         assert await violations(page, RULES) == []
-        assert not await wide(page)
+        assert not await scrolls_sideways(page)
         await page.get_by_role("button", name="Edit").click()
         await page.get_by_role("button", name=re.compile("^Settings of Map")).click()
         assert await violations(page, RULES) == []
-        assert not await wide(page)
+        assert not await scrolls_sideways(page)
         if wide < 900:
             assert await page.evaluate(SMALL) == []
         await tab.shoot(f"layout-{wide}")

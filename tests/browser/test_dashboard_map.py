@@ -19,7 +19,7 @@ from playwright.async_api import Browser, FilePayload, Locator, Page, expect
 
 import rcp_mavlink
 import rcp_sim
-from browser.accessible import SMALL, violations, wide
+from browser.accessible import SMALL, scrolls_sideways, violations
 from browser.input_helpers import held, touching
 from browser.machines import key_of
 from browser.robots import until, value
@@ -455,11 +455,11 @@ async def test_a_mission_is_made_without_a_pointer_and_suits_those_who_see_other
         await expect(items(page)).to_have_count(before + 3)
         await page.evaluate(axe)
         assert await violations(page, RULES) == []
-        assert not await wide(page)
+        assert not await scrolls_sideways(page)
         await page.set_viewport_size({"width": 390, "height": 844})
         await expect(items(page)).to_have_count(before + 3)
         assert await violations(page, RULES) == []
-        assert not await wide(page)
+        assert not await scrolls_sideways(page)
         assert await page.evaluate(SMALL) == []
         await tab.shoot("map-phone")
 

@@ -12,7 +12,7 @@ import pytest
 from playwright.async_api import Browser, FilePayload, Locator, Page, expect
 
 import rcp_mavlink
-from browser.accessible import SMALL, violations, wide
+from browser.accessible import SMALL, scrolls_sideways, violations
 from browser.machines import key_of
 from browser.robots import until, value
 from browser.watched import Watched, signed_in
@@ -286,7 +286,7 @@ async def test_who_may_only_look_sees_values_and_on_a_phone_nothing_is_out_of_re
         await expect(page.get_by_test_id("parameter-detail")).to_contain_text("200 … 8000")
         assert await violations(page, RULES) == []
         assert await page.evaluate(SMALL) == []
-        assert not await wide(page)
+        assert not await scrolls_sideways(page)
         await tab.shoot("parameters-phone")
 
 

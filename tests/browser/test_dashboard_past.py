@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from playwright.async_api import Browser, Locator, Page, expect
 
 import rcp_recorder
-from browser.accessible import SMALL, violations, wide
+from browser.accessible import SMALL, scrolls_sideways, violations
 from browser.watched import Watched, signed_in
 from configuration import backend, key, listener, role, rule, table
 from rcp_gateway.log import configure
@@ -346,7 +346,7 @@ async def test_the_time_line_is_for_everybody_and_every_screen(
             await tab.open(name)
             await expect(page.locator("main")).not_to_contain_text("Loading")
             wrong += [f"{name}: {one}" for one in await violations(page, RULES)]
-            assert not await wide(page), f"{name} has to be scrolled sideways"
+            assert not await scrolls_sideways(page), f"{name} has to be scrolled sideways"
             if width < 900:
                 assert not (small := await page.evaluate(SMALL)), f"{name}: {small}"
             await expect(page.get_by_test_id("estop")).to_be_in_viewport(ratio=1)

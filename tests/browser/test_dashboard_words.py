@@ -11,7 +11,7 @@ import httpx
 import pytest
 from playwright.async_api import Browser, Page, expect
 
-from browser.accessible import SMALL, violations, wide
+from browser.accessible import SMALL, scrolls_sideways, violations
 from browser.watched import Watched, watched
 from docs.demo import Demo
 from rcp_dashboard.pages import STATIC
@@ -201,12 +201,12 @@ async def test_on_a_phone_the_german_words_have_room(browser: Browser, running: 
         await tab.page.set_viewport_size({"width": 360, "height": 740})
         await tab.open()
         await tab.connected()
-        assert not await wide(tab.page)
+        assert not await scrolls_sideways(tab.page)
         assert not await tab.page.evaluate(SMALL)
         # Of pages that the demo does not have, this one's name is the longest.
         label = tab.page.locator("nav a:visible > span:not(.visually-hidden)").last
         await label.evaluate("(one) => (one.textContent = 'Aufzeichnungen')")
-        assert not await wide(tab.page)
+        assert not await scrolls_sideways(tab.page)
         stop = await tab.page.get_by_test_id("stop-menu").bounding_box()
         assert stop is not None
         assert stop["x"] + stop["width"] <= 360
