@@ -42,6 +42,7 @@ _INDEX = struct.Struct("<BQHI")
 _ENTRY = struct.Struct("<QQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
 _FOOTER = struct.Struct("<BQQQI8s")
+_PIECE = 1 << 20  # bytes read at once for a checksum
 _UNSUMMED = 12  # bytes at the end of a file that the checksum of its index is not of
 
 
@@ -256,10 +257,18 @@ def _check_index(file: IO[bytes]) -> None:
     if len(end) < _FOOTER.size or not end.endswith(MCAP0_MAGIC) or end[0] != Opcode.FOOTER:
         raise ValueError("the file is cut off, or no recording")
     *_, start, _, checksum, _ = _FOOTER.unpack(end)
-    file.seek(start)
-    if start and checksum and zlib.crc32(file.read(size - start - _UNSUMMED)) != checksum:
+    if start and checksum and _checksum(file, start, size - _UNSUMMED) != checksum:
         raise ValueError("it has another checksum")
     file.seek(0)
+
+
+def _checksum(file: IO[bytes], start: int, end: int) -> int:
+    """Return the CRC-32 of a part of a file, of which a damaged one may say that it is nearly all of it."""
+    found = 0
+    file.seek(start)
+    while (left := end - file.tell()) > 0 and (data := file.read(min(left, _PIECE))):
+        found = zlib.crc32(data, found)
+    return found
 
 
 def open_recordings(

@@ -63,8 +63,19 @@ def test_a_full_device_is_told(command: tuple[str, ...]) -> None:
     done = run("-m", *command, shell='"$@" >/dev/full')
     assert done.returncode == 1
     assert done.stderr.decode() == (
-        f"{'rcpctl' if command[0] == 'rcp_client' else 'rcpd'}: the output cannot be written: "
-        f"{os.strerror(28)}. Free some space, or write it elsewhere.\n"
+        f"{'rcpctl' if command[0] == 'rcp_client' else 'rcpd'}: its output cannot be written: "
+        f"{os.strerror(28)}. Free some space, or write elsewhere.\n"
+    )
+
+
+def test_a_file_that_cannot_be_written_is_named() -> None:
+    code = (
+        "import errno; from rcp_protocol.program import as_program\n"
+        "with as_program('rcpd'): raise OSError(errno.ENOSPC, 'no space', '/data/a.mcap')"
+    )
+    done = run("-c", code, shell='"$@"')
+    assert done.stderr == (
+        b"rcpd: '/data/a.mcap' cannot be written: no space. Free some space, or write elsewhere.\n"
     )
 
 

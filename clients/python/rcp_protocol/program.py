@@ -13,7 +13,7 @@ from typing import TextIO
 
 __all__ = ["as_program", "interrupt_ends"]
 
-_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # of writing only
 _FAILED = 1
 
 
@@ -41,13 +41,14 @@ def as_program(name: str) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        if error.errno not in _UNWRITABLE:
+        if error.errno not in _FULL:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left is not tried again at the end
         with suppress(OSError):
+            what = "its output" if error.filename is None else f"'{error.filename}'"
             sys.stderr.write(
-                f"{name}: the output cannot be written: {error.strerror}. "
-                "Free some space, or write it elsewhere.\n"
+                f"{name}: {what} cannot be written: {error.strerror}. "
+                "Free some space, or write elsewhere.\n"
             )
         sys.exit(_FAILED)
 
